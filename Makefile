@@ -1,0 +1,23 @@
+# Every target calls setup first; it ends at once where there is nothing to do.
+.PHONY: setup demo test lint ci clean
+
+setup:
+	@deploy/bootstrap.sh
+
+demo: setup
+	@.venv/bin/elps demo --out demo-out
+
+test: setup
+	@.venv/bin/python -m pytest
+
+lint: setup
+	@.venv/bin/ruff check
+	@.venv/bin/ruff format --check
+	@.venv/bin/mypy
+	@.venv/bin/lint-imports
+
+ci:
+	@.ci/run
+
+clean:
+	rm -rf .venv demo-out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

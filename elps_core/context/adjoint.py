@@ -1,0 +1,91 @@
+"""The adjoint image: how much each piece of the lights gives to the picture [thesis 5.2.1]."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from elps_core.integrators.bdpt import Bdpt
+from elps_core.paths.stream import Stream
+from elps_core.sampling.start import StartDensity
+from elps_core.scene.emission import Emission, luminance
+
+Table = NDArray[np.float64]
+
+
+def grid(emitters: int, resolution: int) -> tuple[int, int]:
+    """(rows, columns) of an adjoint image: columns a multiple of the emitters, about resolution^2 cells."""
+    columns = -(-resolution // emitters) * emitters
+    rows = resolution if columns < 2 * resolution else max(1, resolution * resolution // columns)
+    return rows, columns
+
+
+def start_table(adjoint: NDArray[np.floating[Any]], emission: Emission, epsilon: float) -> Table:
+    """Weights of the start density: the adjoint image, plus a share ``epsilon`` of emitted power.
+
+    The share keeps every cell alive: measurements are estimates, and a cell that they missed must
+    still be drawn [thesis 5.2.1].
+    """
+    rows, columns = adjoint.shape
+    per_cell = rows * (columns // emission.count)
+    power = np.repeat(emission.power / per_cell, columns // emission.count)[None, :].repeat(rows, axis=0)
+    measured = np.asarray(adjoint, np.float64)
+    if measured.sum() <= 0.0:
+        return power
+    return (1.0 - epsilon) * measured / measured.sum() + epsilon * power / max(power.sum(), np.finfo(float).tiny)
+
+
+def measure(bdpt: Bdpt, lanes: int, key: tuple[int, ...]) -> Table:
+    """One unbiased estimate of the adjoint image [rows, columns] from ``lanes`` eye and light paths.
+
+    Every contribution that the paths make to the film's mean luminance is entered where its light
+    vertex lies, whatever the strategy; cells sum to the mean luminance of the film.
+    """
+    lights: StartDensity = bdpt.lights
+    streams = (Stream.of(lanes, *key, 0), Stream.of(lanes, *key, 1))
+    size = bdpt.camera.size
+    position = streams[0].next_2d() * mi.Point2f(mi.Float(size.x), mi.Float(size.y))
+    cells = lights.rows * lights.columns
+    light_sums, eye_sums = dr.zeros(mi.Float, cells), dr.zeros(mi.Float, cells)
+    target = light_sums
+
+    def deposit(cell: mi.UInt32, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
+        amount = luminance(mi.UnpolarizedSpectrum(value), wavelengths)
+        dr.scatter_reduce(dr.ReduceOp.Add, target, amount, cell, active & dr.isfinite(amount) & (amount > 0.0))
+
+    def splat(*_: object) -> None:
+        """The film's own picture is not wanted here."""
+
+    def switch() -> None:
+        # The light kernel has run when the eye kernel is traced: one buffer each, because no kernel
+        # may write a buffer that another pending one writes too.
+        nonlocal target
+        target = eye_sums
+
+    bdpt.trace(position, streams, splat, deposit, between=switch)
+    dr.eval(light_sums, eye_sums)
+    total = np.array(light_sums, np.float64) + np.array(eye_sums, np.float64)
+    return total.reshape(lights.columns, lights.rows).T / lanes
+
+
+def shrunk(batches: NDArray[np.float64], emitters: int) -> Table:
+    """The mean of equal batches [n, rows, columns], noisy cells drawn towards their emitter's mean.
+
+    The share kept of a cell's deviation is that of its spread over the emitter which the scatter
+    between batches does not explain (James and Stein), so a converged image stays as it is.
+    """
+    n, rows, columns = batches.shape
+    mean = batches.mean(axis=0)
+    if n < 2:
+        return mean
+    noise = batches.var(axis=0, ddof=1) / n
+    by_emitter = mean.reshape(rows, emitters, -1)
+    centre = by_emitter.mean(axis=(0, 2), keepdims=True)
+    spread = by_emitter.var(axis=(0, 2), keepdims=True)
+    explained = noise.reshape(rows, emitters, -1).mean(axis=(0, 2), keepdims=True)
+    keep = np.clip(1.0 - np.divide(explained, spread, out=np.ones_like(spread), where=spread > 0), 0.0, 1.0)
+    return np.asarray((centre + keep * (by_emitter - centre)).reshape(rows, columns))

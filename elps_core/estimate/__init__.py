@@ -1,0 +1,1 @@
+"""Images from chunks: accumulation, errors, and when to stop. Needs no Mitsuba."""

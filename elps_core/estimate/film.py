@@ -1,0 +1,156 @@
+"""Chunks of an image, and their sum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from elps_core.estimate.stats import relative_error
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """An independent estimate of the whole image: the unit of rendering and of merging."""
+
+    index: int
+    spp: int
+    """Samples per pixel."""
+    seconds: float
+    """Time that rendering it took."""
+    image: Image
+    """Mean radiance, linear RGB, float32 [height, width, 3]."""
+    weight: Image
+    """Weight of each pixel's mean, float32 [height, width]: samples times the filter's weight."""
+
+    def to_bytes(self) -> bytes:
+        """The chunk as one safetensors record."""
+        facts = np.array([self.index, self.spp, self.seconds], np.float64)
+        return save_tensors({"facts": facts, "image": self.image, "weight": self.weight})
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Chunk:
+        """The inverse of :meth:`to_bytes`."""
+        record = load_tensors(data)
+        index, spp, seconds = record["facts"]
+        return cls(int(index), int(spp), float(seconds), record["image"], record["weight"])
+
+
+@dataclass
+class Accumulation:
+    """The weighted mean of independent chunks, and what their scatter says of its error."""
+
+    width: int
+    height: int
+    chunks: set[int] = field(default_factory=set)
+    """Indices of the chunks it holds."""
+    spp: int = 0
+    seconds: float = 0.0
+    _weight: NDArray[np.float64] = field(init=False, repr=False)
+    _sum: NDArray[np.float64] = field(init=False, repr=False)
+    _square: NDArray[np.float64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Start from an empty image."""
+        self._weight = np.zeros((self.height, self.width, 1))
+        self._sum = np.zeros((self.height, self.width, 3))
+        self._square = np.zeros((self.height, self.width, 3))
+
+    @classmethod
+    def empty(cls, width: int, height: int) -> Accumulation:
+        """No samples yet; sizes in pixels."""
+        return cls(width, height)
+
+    def add(self, chunk: Chunk) -> None:
+        """Add a chunk.
+
+        Raises:
+            ValueError: the chunk's size differs, or its index is already in.
+        """
+        if chunk.image.shape != self._sum.shape:
+            raise ValueError("the chunk has another size")
+        if chunk.index in self.chunks:
+            raise ValueError(f"chunk {chunk.index} is already in")
+        weight = chunk.weight.astype(np.float64)[..., None]
+        image = chunk.image.astype(np.float64)
+        self._weight += weight
+        self._sum += weight * image
+        self._square += weight * image * image
+        self.chunks.add(chunk.index)
+        self.spp += chunk.spp
+        self.seconds += chunk.seconds
+
+    def add_all(self, chunks: Iterable[Chunk]) -> None:
+        """Add several chunks."""
+        for chunk in chunks:
+            self.add(chunk)
+
+    def merge(self, other: Accumulation) -> None:
+        """Add all that ``other`` holds.
+
+        Raises:
+            ValueError: sizes differ, or both hold the same chunk.
+        """
+        if other._sum.shape != self._sum.shape or self.chunks & other.chunks:
+            raise ValueError("the accumulations differ in size or share chunks")
+        self._weight += other._weight
+        self._sum += other._sum
+        self._square += other._square
+        self.chunks |= other.chunks
+        self.spp += other.spp
+        self.seconds += other.seconds
+
+    def mean(self) -> Image:
+        """The image, linear RGB, float32 [height, width, 3]; zeros where nothing was sampled."""
+        return self._mean().astype(np.float32)
+
+    def standard_error(self) -> Image:
+        """Standard error of :meth:`mean` per pixel and channel; zeros with fewer than two chunks.
+
+        Chunks weigh by their samples: Var = sum w (m - mean)^2 / ((K - 1) sum w).
+        """
+        count = len(self.chunks)
+        if count < 2:
+            return np.zeros(self._sum.shape, np.float32)
+        mean = self._mean()
+        spread = np.maximum(self._square - self._weight * mean * mean, 0.0)
+        variance = _divide(spread, self._weight * (count - 1))
+        return np.sqrt(variance).astype(np.float32)
+
+    def relative_error(self) -> float | None:
+        """See :func:`elps_core.estimate.stats.relative_error`; None with fewer than two chunks."""
+        return relative_error(self.mean(), self.standard_error()) if len(self.chunks) >= 2 else None
+
+    def _mean(self) -> NDArray[np.float64]:
+        return _divide(self._sum, self._weight)
+
+    def to_bytes(self) -> bytes:
+        """The accumulation as one safetensors record."""
+        record: dict[str, NDArray[Any]] = {
+            "facts": np.array([self.width, self.height, self.spp, self.seconds], np.float64),
+            "chunks": np.array(sorted(self.chunks), np.int64),
+            "weight": self._weight,
+            "sum": self._sum,
+            "square": self._square,
+        }
+        return save_tensors(record)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Accumulation:
+        """The inverse of :meth:`to_bytes`."""
+        record = load_tensors(data)
+        width, height, spp, seconds = record["facts"]
+        result = cls(int(width), int(height), {int(i) for i in record["chunks"]}, int(spp), float(seconds))
+        result._weight, result._sum, result._square = record["weight"], record["sum"], record["square"]
+        return result
+
+
+def _divide(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape)), where=b > 0)

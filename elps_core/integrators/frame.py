@@ -1,0 +1,107 @@
+"""Whole images from passes: film positions, filters, and the splats of light paths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from elps_core.integrators.bdpt import Bdpt
+from elps_core.paths.stream import Stream
+
+MAX_LANES = 1 << 18
+"""Lanes of one pass; more brings no speed and costs memory."""
+MAX_STORE_BYTES = 1 << 29
+"""Bound of the light vertices of one pass: deep paths get fewer lanes."""
+VERTEX_BYTES = 112
+"""Upper bound of a stored vertex's size."""
+COVERAGE_SIDE = 8
+"""Side of the grid of positions per pixel over which a filter's mean weight is measured."""
+
+
+@dataclass
+class Frame:
+    """An image and the weight behind each of its pixels."""
+
+    image: mi.TensorXf  # Mean radiance, linear RGB, [height, width, 3]
+    weight: mi.TensorXf  # Sum of filter weights of the eye paths, [height, width]
+
+
+def to_rgb(value: mi.Spectrum, wavelengths: mi.Spectrum) -> mi.Color3f:
+    """A spectrum as this variant represents it, in linear RGB."""
+    if mi.is_spectral:
+        return mi.spectrum_to_srgb(value, wavelengths)
+    return mi.Color3f(value.x) if mi.is_monochromatic else value
+
+
+class FrameRenderer:
+    """Renders frames of one film by bidirectional path tracing.
+
+    Eye paths are filtered and normalised as Mitsuba does (sum of weighted samples over the sum of
+    weights). Light paths land anywhere on the film and are normalised by the *expected* weight of
+    each pixel, which differs at the borders: else the image darkens there.
+    """
+
+    def __init__(self, bdpt: Bdpt, film: mi.Film) -> None:
+        self.bdpt = bdpt
+        self.size = bdpt.camera.size
+        self.rfilter = film.rfilter()
+        self.pixels = int(self.size.x) * int(self.size.y)
+        self.is_box = self.rfilter.is_box_filter()
+        self._coverage: mi.Float | None = None
+
+    def render(self, spp: int, key: tuple[int, ...]) -> Frame:
+        """``spp`` samples per pixel from the random streams named by ``key``."""
+        total = self.pixels * spp
+        lanes = min(MAX_LANES, max(1, MAX_STORE_BYTES // (max(1, self.bdpt.slots) * VERTEX_BYTES)))
+        passes = -(-total // lanes)
+        lanes = -(-total // passes)
+        eye, light = self._block(4), self._block(3)
+        for number in range(passes):
+            first = number * lanes
+            self._render_pass(min(lanes, total - first), first, (*key, number), eye, light)
+            dr.eval(eye.tensor(), light.tensor())
+        channels = eye.tensor().array
+        pixel = dr.arange(mi.UInt32, self.pixels * 3) // 3
+        channel = dr.arange(mi.UInt32, self.pixels * 3) % 3
+        weight = dr.gather(mi.Float, channels, dr.arange(mi.UInt32, self.pixels) * 4 + 3)
+        seen = dr.gather(mi.Float, channels, pixel * 4 + channel)
+        lit = light.tensor().array / (spp * dr.gather(mi.Float, self.coverage(), pixel))
+        image = seen / dr.maximum(dr.gather(mi.Float, weight, pixel), dr.smallest(mi.Float)) + lit
+        shape = (int(self.size.y), int(self.size.x))
+        return Frame(mi.TensorXf(image, (*shape, 3)), mi.TensorXf(weight, shape))
+
+    def _render_pass(
+        self, lanes: int, first: int, key: tuple[int, ...], eye: mi.ImageBlock, light: mi.ImageBlock
+    ) -> None:
+        streams = (Stream.of(lanes, *key, 0), Stream.of(lanes, *key, 1))
+        pixel = (dr.arange(mi.UInt32, lanes) + dr.opaque(mi.UInt32, first)) % self.pixels
+        row = pixel // int(self.size.x)
+        corner = mi.Point2f(mi.Float(pixel - row * int(self.size.x)), mi.Float(row))
+        position = corner + streams[0].next_2d()
+
+        def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
+            light.put(where, list(to_rgb(value, wavelengths)), active)
+
+        radiance, wavelengths = self.bdpt.trace(position, streams, splat)
+        eye.put(position, [*to_rgb(radiance, wavelengths), mi.Float(1.0)])
+
+    def coverage(self) -> mi.Float:
+        """Expected sum of filter weights per pixel for one sample in every pixel of the film."""
+        if self._coverage is None:
+            if self.is_box:
+                self._coverage = dr.ones(mi.Float, self.pixels)
+            else:
+                block = self._block(1)
+                index = dr.arange(mi.UInt32, self.pixels)
+                row = index // int(self.size.x)
+                corner = mi.Point2f(mi.Float(index - row * int(self.size.x)), mi.Float(row))
+                for k in range(COVERAGE_SIDE**2):
+                    inside = mi.Point2f(k % COVERAGE_SIDE + 0.5, k // COVERAGE_SIDE + 0.5) / COVERAGE_SIDE
+                    block.put(corner + inside, [mi.Float(1.0 / COVERAGE_SIDE**2)])
+                self._coverage = mi.Float(block.tensor().array)
+        return self._coverage
+
+    def _block(self, channels: int) -> mi.ImageBlock:
+        return mi.ImageBlock(self.size, mi.ScalarPoint2i(0, 0), channels, self.rfilter)

@@ -1,0 +1,1 @@
+"""Images as files: EXR for data, PNG for eyes."""

@@ -1,0 +1,126 @@
+"""Joining subpaths: the four kinds of strategy (s, t), s light and t eye vertices.
+
+Each function returns the weighted contribution of one strategy for the lanes that are active and
+visible, zero elsewhere. Every contribution is that of the same integrand, seen from the sensor:
+scattering uses cosines with shading normals as Mitsuba's ``path`` does, conversions between solid
+angle and area use geometric normals.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from elps_core.paths.mis import power, weight
+from elps_core.paths.stream import Stream
+from elps_core.paths.vertex import Vertex, correction
+from elps_core.sampling.start import Start, StartDensity
+from elps_core.scene.sensors import Camera, SensorSample
+
+SHADOW = 1.0 - 1e-3
+"""Share of a shadow segment that is tested; Mitsuba's own shadow rays keep the same distance."""
+
+
+def reversed_pdf(vertex: Vertex, wo: mi.Vector3f, context: mi.BSDFContext, active: mi.Bool) -> mi.Float:
+    """Solid-angle density of the predecessor's direction, had the walk arrived from ``wo`` (local)."""
+    si = mi.SurfaceInteraction3f(vertex.si)
+    si.wi = wo
+    return vertex.si.bsdf().pdf(context, si, vertex.si.wi, active)
+
+
+def hit_emitter(scene: mi.Scene, vertex: Vertex, lights: StartDensity, active: mi.Bool) -> tuple[mi.Spectrum, mi.UInt32]:
+    """s = 0: an eye path meets an emitter. Returns the contribution and the emitter's cell."""
+    emitter = vertex.si.emitter(scene, active)
+    active = active & (emitter != None)  # noqa: E711 (a comparison of arrays of pointers)
+    value = emitter.eval(vertex.si, active)
+    active = active & (dr.max(value) > 0.0)
+    pdf_start, index, cell = lights.pdf(emitter, vertex.si, active)
+    cosine = dr.abs(dr.dot(vertex.si.to_world(vertex.si.wi), vertex.si.n))
+    pdf_omega = lights.emission.pdf_direction(index, mi.Bool(False), cosine, active)
+    others = power(pdf_start) * dr.fma(power(pdf_omega), vertex.partial.dvc, vertex.partial.dvcm)
+    # Directly seen light has no other strategy: connecting a light vertex to the sensor is not one.
+    mis = dr.select(vertex.depth == 1, 1.0, weight(mi.Float(0.0), others))
+    return dr.select(active, vertex.beta * value * mis, 0.0), cell
+
+
+def connect_light(
+    scene: mi.Scene, vertex: Vertex, lights: StartDensity, context: mi.BSDFContext, stream: Stream, active: mi.Bool
+) -> tuple[mi.Spectrum, Start]:
+    """s = 1: next event estimation, a fresh light vertex for an eye vertex."""
+    start = lights.sample(stream.next_2d(), stream.next_2d(), vertex.si.wavelengths, active)
+    point = start.point
+    delta = point.si.p - vertex.si.p
+    distance2 = dr.squared_norm(delta)
+    direction = delta * dr.rsqrt(distance2)
+    radiance, cos_light = lights.emission.radiance(point, -direction, active)
+    active = active & ((dr.max(radiance) > 0.0) & (cos_light > 0.0) & (distance2 > 0.0))
+    active = active & ~shadowed(scene, vertex, point.si.p, active)
+    wo = vertex.si.to_local(direction)
+    f, pdf_fwd = vertex.si.bsdf().eval_pdf(context, vertex.si, wo, active)
+    pdf_rev = reversed_pdf(vertex, wo, context, active)
+
+    cos_eye = dr.abs(dr.dot(vertex.si.n, direction))
+    pdf_omega = start.pdf * distance2 / cos_light
+    sum_light = dr.select(point.delta, 0.0, power(pdf_fwd / pdf_omega))
+    pdf_direction = lights.emission.pdf_direction(point.index, point.delta, cos_light, active)
+    # Light paths start with the density of this very sample, so that it cancels in the ratio.
+    sum_eye = vertex.partial.other_strategies(pdf_direction * cos_eye / distance2, pdf_rev)
+    value = vertex.beta * f * radiance * (weight(sum_light, sum_eye) / pdf_omega)
+    return dr.select(active, value, 0.0), start
+
+
+def connect_vertices(
+    scene: mi.Scene,
+    eye: Vertex,
+    light: Vertex,
+    eye_context: mi.BSDFContext,
+    light_context: mi.BSDFContext,
+    active: mi.Bool,
+) -> mi.Spectrum:
+    """s >= 2, t >= 2: join an eye vertex and a light vertex."""
+    delta = light.si.p - eye.si.p
+    distance2 = dr.squared_norm(delta)
+    direction = delta * dr.rsqrt(distance2)
+    active = active & (distance2 > 0.0)
+    wo_eye, wo_light = eye.si.to_local(direction), light.si.to_local(-direction)
+    active = active & ~shadowed(scene, eye, light.si.p, active)
+    f_eye, pdf_eye = eye.si.bsdf().eval_pdf(eye_context, eye.si, wo_eye, active)
+    f_light, pdf_light = light.si.bsdf().eval_pdf(light_context, light.si, wo_light, active)
+    pdf_rev_eye = reversed_pdf(eye, wo_eye, eye_context, active)
+    pdf_rev_light = reversed_pdf(light, wo_light, light_context, active)
+
+    cos_eye, cos_light = dr.abs(dr.dot(eye.si.n, direction)), dr.abs(dr.dot(light.si.n, direction))
+    inv = dr.rcp(distance2)
+    sum_light = light.partial.other_strategies(pdf_eye * cos_light * inv, pdf_rev_light)
+    sum_eye = eye.partial.other_strategies(pdf_light * cos_eye * inv, pdf_rev_eye)
+    scale = correction(light, wo_light, cos_light) * inv * weight(sum_light, sum_eye)
+    return dr.select(active, eye.beta * f_eye * f_light * light.beta * scale, 0.0)
+
+
+def connect_sensor(
+    scene: mi.Scene, vertex: Vertex, camera: Camera, context: mi.BSDFContext, stream: Stream, active: mi.Bool
+) -> tuple[mi.Spectrum, SensorSample]:
+    """t = 1: join a light vertex to the aperture; the contribution belongs to the sample's film position.
+
+    It is per light path over the whole film: times the number of pixels, it adds to a pixel's mean.
+    """
+    aperture = stream.next_2d() if camera.has_aperture else mi.Point2f(0.5)
+    sample = camera.connect(vertex.si, aperture, active)
+    active = active & sample.valid
+    ray = vertex.si.spawn_ray(sample.direction)
+    ray.maxt = sample.distance * SHADOW - sample.near
+    active = active & ~scene.ray_test(ray, active)
+    wo = vertex.si.to_local(sample.direction)
+    f = vertex.si.bsdf().eval(context, vertex.si, wo, active)
+    pdf_rev = reversed_pdf(vertex, wo, context, active)
+
+    cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
+    pdf_area = sample.pdf * cosine / dr.square(sample.distance)
+    sum_light = vertex.partial.other_strategies(pdf_area, pdf_rev)
+    scale = correction(vertex, wo, cosine) * sample.weight * weight(sum_light, mi.Float(0.0))
+    return dr.select(active, vertex.beta * f * scale, 0.0), sample
+
+
+def shadowed(scene: mi.Scene, vertex: Vertex, target: mi.Point3f, active: mi.Bool) -> mi.Bool:
+    """Whether something stands between a vertex and a point on another surface."""
+    return scene.ray_test(vertex.si.spawn_ray_to(target), active)

@@ -1,0 +1,34 @@
+"""Rules of survival: when a walk may end before its greatest depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from elps_core.settings import Roulette
+
+MAX_SURVIVAL = 0.95
+"""Mitsuba's upper limit of the survival probability: bounds walks in media that absorb nothing."""
+MIN_SURVIVAL = 0.05
+"""Lower limit, so that a survivor's weight stays bounded."""
+
+
+@dataclass(frozen=True)
+class RouletteRule:
+    """Survival by ``kind`` from path depth ``start`` on; both are fixed when a kernel is built."""
+
+    kind: Roulette
+    start: int
+
+    def survival(self, beta: mi.Spectrum, eta: mi.Float, albedo: mi.Spectrum, depth: mi.UInt32) -> mi.Float:
+        """Probability to continue after a scattering event at ``depth``.
+
+        ``throughput`` follows the path's weight times the squared index of refraction so far, as
+        Mitsuba's ``path`` does; ``albedo`` follows the local weight f |cos| / p [thesis 5.1.1].
+        """
+        if self.kind == "none":
+            return mi.Float(1.0)
+        q = dr.max(beta * dr.square(eta)) if self.kind == "throughput" else dr.max(albedo)
+        return dr.select(depth >= self.start, dr.clip(q, MIN_SURVIVAL, MAX_SURVIVAL), 1.0)

@@ -1,0 +1,102 @@
+"""The vertex record: what a surface vertex must remember to be connected to later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from elps_core.paths.mis import Partial
+
+DEPTH_BITS = 8
+"""Low bits of the packed word that hold the depth (settings.MAX_DEPTH fits); the rest is the shape."""
+PACKET = 4
+"""Floats moved by one gather or scatter; wider packets brought nothing."""
+
+
+@dataclass
+class Vertex:
+    """A surface vertex of a subpath, before it scatters."""
+
+    si: mi.SurfaceInteraction3f  # Position, normals, incident direction (local, towards the predecessor)
+    beta: mi.Spectrum  # Throughput: contribution / density up to this vertex
+    partial: Partial  # Partial sums of the weights
+    depth: mi.UInt32  # Segments between the subpath's start and this vertex
+
+
+def correction(vertex: Vertex, wo: mi.Vector3f, cos_out: mi.Float) -> mi.Float:
+    """Shading-normal correction of the adjoint BSDF, Veach 1997 5.3.2 [thesis 2.6.1].
+
+    ``wo`` is the local outgoing direction of a light path, ``cos_out`` its absolute cosine with the
+    geometric normal. One on surfaces whose shading normal is the geometric one.
+    """
+    cos_in = dr.abs(dr.dot(vertex.si.to_world(vertex.si.wi), vertex.si.n))
+    shading = dr.abs(mi.Frame3f.cos_theta(vertex.si.wi)) * cos_out
+    geometric = cos_in * dr.abs(mi.Frame3f.cos_theta(wo))
+    return dr.select(geometric > 0.0, shading / geometric, 0.0)
+
+
+class VertexStore:
+    """Light vertices of one pass in global memory: ``slots`` records for each of ``lanes`` lanes.
+
+    Records are arrays of structures, about 100 bytes each. A kernel writes them, the next one
+    reads them: never both in one kernel.
+    """
+
+    def __init__(self, lanes: int, slots: int) -> None:
+        self.lanes = lanes
+        self.slots = slots
+        self._stride = dr.opaque(mi.UInt32, lanes)  # Data, not code: one kernel for all lane counts
+        self.channels = dr.size_v(mi.UnpolarizedSpectrum)
+        self.packets = -(-(21 + self.channels) // PACKET)
+        self.data = dr.empty(mi.Float, max(1, lanes * slots) * self.packets * PACKET)
+        self.count = dr.zeros(mi.UInt32, lanes)
+
+    def write(self, slot: mi.UInt32, vertex: Vertex, active: mi.Bool) -> None:
+        """Store ``vertex`` of each active lane in its ``slot`` (less than ``slots``)."""
+        si = vertex.si
+        shape = dr.reinterpret_array(mi.UInt32, si.shape)
+        packed = dr.reinterpret_array(mi.Float, (shape << DEPTH_BITS) | vertex.depth)
+        prim = dr.reinterpret_array(mi.Float, si.prim_index)
+        # The tangent is kept as its angle in the plane of the normal, one float in place of three.
+        s0, t0 = mi.coordinate_system(si.sh_frame.n)
+        angle = dr.atan2(dr.dot(si.sh_frame.s, t0), dr.dot(si.sh_frame.s, s0))
+        fields = [
+            *si.p, packed,
+            *si.n, prim,
+            *si.sh_frame.n, angle,
+            *si.wi, *si.uv,
+            vertex.partial.dvcm, vertex.partial.dvc,
+            si.time,
+            *(vertex.beta[i] for i in range(self.channels)),
+        ]  # fmt: skip
+        fields += [mi.Float(0.0)] * (self.packets * PACKET - len(fields))
+        base = (slot * self._stride + dr.arange(mi.UInt32, self.lanes)) * self.packets
+        for k in range(self.packets):
+            dr.scatter(self.data, mi.Vector4f(fields[PACKET * k : PACKET * (k + 1)]), base + k, active)
+
+    def read(self, slot: mi.UInt32, lane: mi.UInt32, wavelengths: mi.Spectrum, active: mi.Bool) -> Vertex:
+        """The vertex that ``lane`` stored in ``slot``, ready for BSDF evaluation."""
+        base = (slot * self._stride + lane) * self.packets
+        f: list[mi.Float] = []
+        for k in range(self.packets):
+            f += list(dr.gather(mi.Vector4f, self.data, base + k, active))
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.p = mi.Point3f(f[0], f[1], f[2])
+        word = dr.reinterpret_array(mi.UInt32, f[3])
+        si.shape = dr.reinterpret_array(mi.ShapePtr, word >> DEPTH_BITS)
+        si.n = mi.Normal3f(f[4], f[5], f[6])
+        si.prim_index = dr.reinterpret_array(mi.UInt32, f[7])
+        normal = mi.Normal3f(f[8], f[9], f[10])
+        s0, t0 = mi.coordinate_system(normal)
+        sin, cos = dr.sincos(f[11])
+        tangent = s0 * cos + t0 * sin
+        si.sh_frame = mi.Frame3f(tangent, dr.cross(normal, tangent), normal)
+        si.wi = mi.Vector3f(f[12], f[13], f[14])
+        si.uv = mi.Point2f(f[15], f[16])
+        si.time = f[19]
+        si.t = 0.0
+        si.wavelengths = wavelengths
+        beta = mi.UnpolarizedSpectrum([f[20 + i] for i in range(self.channels)])
+        return Vertex(si, beta, Partial(f[17], f[18]), word & ((1 << DEPTH_BITS) - 1))

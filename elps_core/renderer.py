@@ -1,0 +1,110 @@
+"""One scene, one set of settings, any number of independent chunks."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from elps_core.context.build import start_density
+from elps_core.context.store import GlobalContext
+from elps_core.errors import ContextMismatch, RenderFailed, SettingsRejected
+from elps_core.estimate.film import Chunk
+from elps_core.estimate.schedule import chunk_spp
+from elps_core.integrators.bdpt import Bdpt
+from elps_core.integrators.frame import FrameRenderer
+from elps_core.paths.roulette import RouletteRule
+from elps_core.paths.stream import key_seed
+from elps_core.sampling.start import StartDensity, power_table, uniform_table
+from elps_core.scene.emission import Emission
+from elps_core.scene.loader import LoadedScene
+from elps_core.scene.sensors import Camera
+from elps_core.settings import RenderSettings
+
+DEPTH_PROPERTIES = ("path", "volpath", "volpathmis", "ptracer")
+"""Mitsuba integrators that take ``max_depth`` and ``rr_depth``."""
+
+
+class Renderer:
+    """Renders chunks of one image: pure functions of (settings, chunk index).
+
+    Raises:
+        ContextMismatch: the context does not belong to the scene, or is missing where it is needed.
+        SceneRejected: something in the scene that the integrator does not support.
+    """
+
+    def __init__(self, scene: LoadedScene, settings: RenderSettings, context: GlobalContext | None = None) -> None:
+        self.scene = scene
+        self.settings = settings
+        self.size = scene.size
+        self._frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
+        self._baseline = self._mitsuba_integrator() if self._frames is None else None
+
+    def _prepare(self, context: GlobalContext | None) -> FrameRenderer:
+        settings = self.settings
+        emission = Emission(self.scene.scene)
+        if settings.light_sampling == "adjoint":
+            if context is None:
+                raise ContextMismatch("light sampling 'adjoint' needs a context: build one first")
+            if context.scene != self.scene.digest:
+                raise ContextMismatch("the context belongs to another scene: build one for this scene")
+            lights = start_density(context, emission)
+        else:
+            table = uniform_table(emission) if settings.light_sampling == "uniform" else power_table(emission)
+            lights = StartDensity(emission, table)
+        bdpt = Bdpt(
+            self.scene.scene,
+            Camera(self.scene.sensor),
+            lights,
+            max_depth=settings.max_depth,
+            roulette=RouletteRule(settings.roulette, settings.rr_depth),
+        )
+        return FrameRenderer(bdpt, self.scene.sensor.film())
+
+    def _mitsuba_integrator(self) -> mi.Integrator:
+        name = self.settings.integrator[3:]
+        description: dict[str, Any] = {"type": name}
+        if name in DEPTH_PROPERTIES:
+            never = self.settings.max_depth + 1
+            description["max_depth"] = self.settings.max_depth
+            description["rr_depth"] = never if self.settings.roulette == "none" else self.settings.rr_depth
+        try:
+            return mi.load_dict(description)
+        except Exception:
+            raise SettingsRejected(f"Mitsuba's integrator '{name}' cannot be used here: choose 'mi_path'") from None
+
+    def chunk_spp(self, index: int) -> int:
+        """Samples per pixel of chunk ``index``."""
+        return chunk_spp(index, self.settings, self.size)
+
+    def render_chunk(self, index: int, spp: int | None = None) -> Chunk:
+        """Render chunk ``index``; the same index gives the same image to float rounding.
+
+        ``spp`` replaces the chunk's own number of samples where the caller merges by itself.
+
+        Raises:
+            RenderFailed: the image holds values that are not numbers.
+        """
+        begin = time.perf_counter()
+        count = spp or self.chunk_spp(index)
+        if self._frames is not None:
+            frame = self._frames.render(count, (self.settings.seed, index))
+            image, weight = np.array(frame.image), np.array(frame.weight)
+        else:
+            image = self._render_baseline(count, index)
+            weight = np.full(image.shape[:2], count, np.float32)
+        if not np.isfinite(image).all():
+            raise RenderFailed("the image holds values that are not numbers: check the scene's materials and lights")
+        return Chunk(index, count, time.perf_counter() - begin, image, weight)
+
+    def _render_baseline(self, spp: int, index: int) -> NDArray[np.float32]:
+        seed = key_seed(self.settings.seed, index) & 0xFFFFFFFF
+        image = mi.render(
+            self.scene.scene, sensor=self.scene.sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp
+        )
+        pixels = np.array(image, np.float32)
+        return np.ascontiguousarray(np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3])

@@ -1,0 +1,1 @@
+"""The places where the global context enters local path sampling."""

@@ -1,0 +1,1 @@
+"""Scenes: unpacking and checking uploads, instantiating them safely, and their digests."""

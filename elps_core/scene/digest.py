@@ -1,0 +1,71 @@
+"""Digests: what a scene, a context and a render depend on. Imports no Mitsuba.
+
+All are ``sha256:`` and 64 hexadecimal digits. Equal digests may share results, whoever asks for them
+and on whatever machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from io import BufferedReader
+from typing import Any
+
+from elps_core.settings import ContextSettings, RenderSettings
+
+SCENE_FORMAT = 1
+"""Counts changes of the canonical text."""
+CONTEXT_FORMAT = 1
+"""Counts changes of a global context's content or file format."""
+RENDER_FORMAT = 1
+"""Counts changes of the algorithms that change the image of given settings."""
+
+
+def file_hash(file: BufferedReader) -> str:
+    """SHA-256 of an open file's content from its current position, in hexadecimal."""
+    return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def scene_digest(canonical: str) -> str:
+    """Digest of a scene.
+
+    Args:
+        canonical: the checked scene as one text, in which content hashes stand for file names
+            (:func:`elps_core.scene.loader.canonicalize` makes it), so that neither the place nor the
+            packing of a bundle enters, nor files that the scene does not use.
+    """
+    return _digest("scene", SCENE_FORMAT, canonical)
+
+
+def context_digest(scene: str, sensor: int, size: tuple[int, int], settings: ContextSettings) -> str:
+    """Digest of a global context.
+
+    Args:
+        scene: the scene's digest.
+        sensor: index of the camera.
+        size: (width, height) in pixels; only the aspect ratio enters, so that a preview and its final
+            image share one context.
+        settings: how the context is measured.
+    """
+    common = math.gcd(*size)
+    aspect = [size[0] // common, size[1] // common]
+    return _digest("context", CONTEXT_FORMAT, [scene, sensor, aspect, settings.model_dump(mode="json")])
+
+
+def render_digest(scene: str, settings: RenderSettings, size: tuple[int, int]) -> str:
+    """Digest of a render: equal where every chunk of the same index is interchangeable.
+
+    Args:
+        scene: the scene's digest.
+        settings: all of them enter; those of the context only where the render uses one.
+        size: (width, height) of the image in pixels, in place of the optional ones in the settings.
+    """
+    left_out = {"width", "height"} | (set() if settings.needs_context else {"context"})
+    return _digest("render", RENDER_FORMAT, [scene, settings.model_dump(mode="json", exclude=left_out), list(size)])
+
+
+def _digest(kind: str, version: int, content: Any) -> str:
+    """Kind and version enter, so that digests of different things never meet."""
+    text = json.dumps([kind, version, content], sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()

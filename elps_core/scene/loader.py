@@ -1,0 +1,315 @@
+"""From a checked bundle to a Mitsuba scene, without ever letting the scene choose what code runs.
+
+The scene file is read here (:mod:`elps_core.scene.markup`), checked against lists, and written anew as
+a canonical text with absolute file names. Only that text reaches Mitsuba, with a file resolver that
+knows Mitsuba's own folder and no other.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from elps_core import device
+from elps_core.errors import SceneRejected
+from elps_core.scene import headers, markup, measure, plugins, rules
+from elps_core.scene.bundle import is_archive, open_regular, root_xml, unpack
+from elps_core.scene.digest import file_hash, scene_digest
+from elps_core.scene.markup import Node
+from elps_core.scene.summary import EmitterSummary, SceneSummary, SensorSummary
+from elps_core.scene.text import is_plain, shown
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+MAX_SCENE_BYTES = 4 * 2**30
+"""Memory that all files of a scene may take together, each counted as often as it is used."""
+_SENSOR_ID = "elps_sensor_{}"
+_LOCATION = re.compile(r"\(line (\d{1,9}), col \d+\)")
+
+
+@dataclass(frozen=True)
+class CanonicalScene:
+    """A scene file that passed every check that needs no Mitsuba."""
+
+    text: str
+    """What Mitsuba is given: allowed plugins only, parameters put in, absolute file names."""
+    nodes: tuple[Node, ...]
+    """The element of the scene file behind each line of ``text``."""
+    digest: str
+    root: Node
+    """The tree of ``text``. The scene's integrator is left out: settings decide."""
+    sensors: tuple[Node, ...]
+    """Cameras in the order of the scene file; each has an id."""
+    files: frozenset[str]
+    """The absolute file names in ``text``."""
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A scene in memory, and what is known about it."""
+
+    scene: mi.Scene
+    sensor: mi.Sensor
+    digest: str
+    """Of the scene as uploaded: a changed size does not enter."""
+    summary: SceneSummary
+    variant: str
+    size: tuple[int, int]
+    """Width and height of the chosen camera's image in pixels."""
+    sensor_index: int
+    """Which camera of the scene file was chosen."""
+
+
+def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, int] | None = None) -> LoadedScene:
+    """Load an .xml file, a .zip bundle or a folder; none of its content is run, whatever it is.
+
+    Args:
+        source: what to load. An .xml file may use the files beside and below it.
+        variant: Mitsuba variant; it stays set.
+        sensor: which camera, in the order of the scene file.
+        size: (width, height) in pixels in place of the film's own, whose crop window is dropped.
+
+    Raises:
+        SceneRejected: damaged, hostile, too large or unsupported; one line without host paths.
+        DeviceUnavailable: the variant does not run here.
+    """
+    if not source.exists():
+        raise SceneRejected(f"there is no scene '{shown(source.name)}'")
+    mi_ = device.use(variant)
+    with ExitStack() as until_loaded:
+        if source.is_dir():
+            xml = root_xml(source)
+        elif is_archive(source):
+            folder = until_loaded.enter_context(tempfile.TemporaryDirectory(prefix="elps-scene-"))
+            xml = unpack(source, Path(folder))
+        else:
+            xml = source
+        canonical = canonicalize(xml, sensor=sensor, size=size)
+        scene = _instantiate(mi_, canonical, variant)
+        # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
+        summary = _summarize(scene, canonical)
+    by_id = {s.id(): s for s in scene.sensors()}
+    chosen = by_id[canonical.sensors[sensor].attributes["id"]]
+    shown_size = summary.sensors[sensor]
+    return LoadedScene(scene, chosen, canonical.digest, summary, variant, (shown_size.width, shown_size.height), sensor)
+
+
+def canonicalize(xml: Path, *, sensor: int = 0, size: tuple[int, int] | None = None) -> CanonicalScene:
+    """Read and check a scene file and the files that it names. Runs no Mitsuba.
+
+    Args:
+        xml: the scene file; its folder is the bundle, which no file name may leave.
+        sensor: the camera whose film ``size`` applies to.
+        size: (width, height) in pixels.
+
+    Raises:
+        SceneRejected: as :func:`load_scene`.
+    """
+    root = markup.read(xml)
+    rules.check(root)
+    root.children = [child for child in root.children if child.tag != "integrator"]
+    objects = root.objects()
+    bundle = xml.parent.resolve()
+    absolute: dict[int, str] = {}
+    hashed: dict[int, str] = {}
+    checked: dict[tuple[str, str], tuple[int, str]] = {}
+    memory = 0
+    for owner in objects:
+        for node, kind in _file_names(owner):
+            path = _resolve(node, owner, bundle)
+            if (kind, str(path)) not in checked:
+                checked[kind, str(path)] = _check_file(kind, path, owner, bundle)
+            needed, content = checked[kind, str(path)]
+            memory += needed
+            if memory > MAX_SCENE_BYTES:
+                raise SceneRejected(f"{owner}: with this file the scene needs more than {MAX_SCENE_BYTES >> 30} GiB")
+            # A dollar sign in the path of the bundle is no parameter.
+            absolute[id(node)] = str(path).replace("$", "\\$")
+            hashed[id(node)] = f"sha256:{content}{path.suffix.lower()}"
+    digest = scene_digest(markup.write(root, hashed)[0])
+    sensors = _sensors(objects)
+    if sensor not in range(len(sensors)):
+        raise SceneRejected(f"the scene has {len(sensors)} sensors, counted from 0: there is no sensor {sensor}")
+    if size is not None:
+        rules.check_film_size(*size)
+        _resize(sensors[sensor], objects, size)
+    text, nodes = markup.write(root, absolute)
+    files = frozenset(path for _, path in checked)
+    return CanonicalScene(text, tuple(nodes), digest, root, tuple(sensors), files)
+
+
+def _file_names(owner: Node) -> list[tuple[Node, str]]:
+    """The elements below an object that name a file, and how each file is checked."""
+    found = []
+    for child in owner.children:
+        if child.tag == "spectrum" and "filename" in child.attributes:
+            if child.is_object:
+                raise SceneRejected(f"{child} has both a type and a filename")
+            found.append((child, "text"))
+        elif child.tag == "string" and child.attributes.get("name") == "filename":
+            kind = plugins.FILE_READERS.get((owner.tag, owner.type))
+            if kind is None:
+                raise SceneRejected(f"{owner} takes no filename")
+            found.append((child, kind))
+    return found
+
+
+def _resolve(node: Node, owner: Node, bundle: Path) -> Path:
+    """The absolute path of a file inside the bundle.
+
+    The same rules hold for a scene that lies in an ordinary folder: it may not look outside either.
+    """
+    name = node.attributes.get("filename") or node.attributes.get("value", "")
+    label = f"{owner}: the file '{shown(name)}'"
+    plain = PurePosixPath(name)
+    if not name or not is_plain(name) or "\\" in name or "$" in name:
+        raise SceneRejected(f"{label} has a name that is not allowed: use plain relative names")
+    if plain.is_absolute() or ".." in plain.parts or name.startswith("~"):
+        raise SceneRejected(f"{label} lies outside the bundle: put it in and name it relative to the scene file")
+    try:
+        path = (bundle / plain).resolve(strict=True)
+    except (OSError, RuntimeError, ValueError):  # missing, a name too long, links in a circle
+        raise SceneRejected(f"{label} is not in the bundle") from None
+    if not path.is_relative_to(bundle):
+        raise SceneRejected(f"{label} lies outside the bundle: put it in and name it relative to the scene file")
+    return path
+
+
+def _check_file(kind: str, path: Path, owner: Node, bundle: Path) -> tuple[int, str]:
+    """Memory that the file takes in bytes, and its content's hash."""
+    with open_regular(path) as file:
+        try:
+            needed = headers.check(kind, file, str(path))
+        except headers.BadFileError as error:
+            raise SceneRejected(f"{owner}: '{shown(path.relative_to(bundle).as_posix())}' {error}") from None
+        file.seek(0)
+        return needed, file_hash(file)
+
+
+def _sensors(objects: list[Node]) -> list[Node]:
+    """Cameras that can render, in order, each given an id; those inside a batch belong to it.
+
+    Raises:
+        SceneRejected: there is none, or a film is too large.
+    """
+    inside = {id(part) for node in objects if node.tag == "sensor" for part in node.objects()[1:]}
+    sensors = [node for node in objects if node.tag == "sensor" and id(node) not in inside]
+    if not sensors:
+        raise SceneRejected("the scene has no <sensor>: add a camera")
+    taken = {node.attributes.get("id") for node in objects}
+    for index, node in enumerate(sensors):
+        rules.film_size(rules.film_of(node, objects))
+        name = _SENSOR_ID.format(index)
+        while name in taken:
+            name += "_"
+        node.attributes.setdefault("id", name)
+    for film in objects:
+        if film.tag == "film":
+            rules.film_size(film)
+    return sensors
+
+
+def _resize(sensor: Node, objects: list[Node], size: tuple[int, int]) -> None:
+    """Give a camera a film of its own with another size."""
+    original = rules.film_of(sensor, objects)
+    sized = {"width": size[0], "height": size[1]}
+    dropped = {"crop_width", "crop_height", "crop_offset_x", "crop_offset_y", *sized}
+    film = Node("film", {"type": original.type if original else "hdrfilm"}, sensor.line)
+    film.children = [
+        *(c for c in (original.children if original else ()) if c.attributes.get("name") not in dropped),
+        *(Node("integer", {"name": name, "value": str(value)}, film.line) for name, value in sized.items()),
+    ]
+    replaced = {id(original)}
+    if original is not None and all(child is not original for child in sensor.children):
+        name = original.attributes["id"]
+        replaced = {id(child) for child in sensor.children if child.tag == "ref" and child.attributes["id"] == name}
+    sensor.children = [child for child in sensor.children if id(child) not in replaced] + [film]
+
+
+def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> mi.Scene:
+    _leave_only_mitsuba(mi_)
+    config = mi_.parser.ParserConfig(variant)
+    level = mi_.log_level()
+    # Mitsuba's warnings name files of the host.
+    mi_.set_log_level(mi_.LogLevel.Error)
+    try:
+        state = mi_.parser.parse_string(config, canonical.text)
+        _check_again(state, canonical)
+        mi_.parser.transform_all(config, state)
+        scene: mi.Scene = mi_.parser.instantiate(config, state)
+    except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError) as error:
+        raise SceneRejected(_explain(str(error), canonical)) from None
+    except MemoryError:
+        raise SceneRejected("the scene needs more memory than there is: make its meshes and images smaller") from None
+    finally:
+        mi_.set_log_level(level)
+    return scene
+
+
+def _leave_only_mitsuba(mi_: Any) -> None:
+    """Take every folder but Mitsuba's own off the file resolver, for good.
+
+    Mitsuba looks for ``plugins/<name>.so`` in each folder in order, the working directory first; a
+    plugin that is loaded later, for rendering, must not be found there either.
+    """
+    resolver = mi_.FileResolver()
+    resolver.clear()
+    resolver.append(str(Path(mi_.__file__).parent))
+    mi_.set_file_resolver(resolver)
+
+
+def _check_again(state: Any, canonical: CanonicalScene) -> None:
+    """Hold what Mitsuba parsed against the lists: a second reader of the same text, before any plugin is loaded."""
+    allowed = frozenset().union(*plugins.PLUGINS.values()) | {"scene"}
+    for node in state.nodes:
+        if node.props.plugin_name() not in allowed:
+            raise SceneRejected("the scene names a plugin that is not allowed")
+        if "filename" in node.props and node.props["filename"] not in canonical.files:
+            raise SceneRejected("the scene names a file that is not in the bundle")
+
+
+def _explain(raw: str, canonical: CanonicalScene) -> str:
+    """One line about an error of Mitsuba's, whose own text may quote files and host paths.
+
+    Of that text only the place is taken, and names that the element itself has.
+    """
+    found = _LOCATION.search(raw)
+    line = int(found[1]) if found else 0
+    if not 1 <= line <= len(canonical.nodes):
+        return "Mitsuba cannot make this scene: check it with Mitsuba's own viewer"
+    node = canonical.nodes[line - 1]
+    for child in node.children:
+        if child.attributes.get("name") == "filename" or "filename" in child.attributes:
+            name = child.attributes.get("filename") or child.attributes.get("value", "")
+            return f"{node}: Mitsuba cannot read the file '{shown(name)}': it is damaged, cut off or of another kind"
+    unknown = [shown(c.attributes["name"]) for c in node.children if f'"{c.attributes.get("name")}"' in raw]
+    if unknown:
+        return f"{node}: Mitsuba does not take its parameter '{unknown[0]}' or its value"
+    return f"{node}: Mitsuba cannot make this object: check its parameters"
+
+
+def _summarize(scene: mi.Scene, canonical: CanonicalScene) -> SceneSummary:
+    objects = canonical.root.objects()
+    made = {sensor.id(): sensor for sensor in scene.sensors()}
+    sensors = []
+    for node in canonical.sensors:
+        sensor = made.get(node.attributes["id"])
+        if sensor is None:
+            raise SceneRejected(f"{node} is not a camera of the scene: put it directly inside <scene>")
+        width, height = measure.check_sensor(sensor, str(node))
+        sensors.append(SensorSummary(type=node.type, width=width, height=height))
+    counts = Counter(node.type for node in objects if node.tag == "emitter")
+    return SceneSummary(
+        sensors=tuple(sensors),
+        emitters=tuple(EmitterSummary(type=kind, count=count) for kind, count in sorted(counts.items())),
+        bsdfs=tuple(sorted({node.type for node in objects if node.tag == "bsdf"})),
+        shapes=sum(node.tag == "shape" for node in objects),
+        triangles=measure.triangles(scene),
+        warnings=() if counts else ("the scene has no emitters: the image will be black",),
+    )

@@ -1,0 +1,55 @@
+"""Bodies that exist in the HTTP interface only; all others are the records of :mod:`worker.models`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from elps_core.settings import RenderSettings, StopCriterion
+from worker.models import Job, WorkerInfo
+
+EXAMPLE_DIGEST = "sha256:" + "0123456789abcdef" * 4
+
+
+class JobRequest(BaseModel):
+    """What to render and when to stop."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        json_schema_extra={
+            "examples": [
+                {
+                    "scene": EXAMPLE_DIGEST,
+                    "settings": {"integrator": "bdpt", "light_sampling": "adjoint", "width": 512, "height": 512},
+                    "stop": {"samples": 1024, "seconds": 600.0},
+                }
+            ]
+        },
+    )
+
+    scene: Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$")]
+    """Digest of an uploaded scene."""
+    settings: RenderSettings = RenderSettings()
+    stop: StopCriterion
+    priority: Annotated[int, Field(ge=-9, le=9)] = 0
+    """Higher is sooner; 0 is the ordinary job."""
+
+
+class JobList(BaseModel):
+    """Jobs, newest first."""
+
+    jobs: list[Job]
+
+
+class WorkerList(BaseModel):
+    """Workers that were heard of recently."""
+
+    workers: list[WorkerInfo]
+
+
+class Health(BaseModel):
+    """An answer that says only that there is one."""
+
+    status: str = "ok"

@@ -1,0 +1,131 @@
+"""Jobs that no worker takes: creating, reading, cancelling, and the events of it all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.service.live import assert_problem
+
+SETTINGS = {"integrator": "mi_path", "width": 8, "height": 8}
+
+
+@pytest.fixture
+def job(client: httpx.Client, scene: str) -> Iterator[dict[str, Any]]:
+    answer = client.post("/v1/jobs", json={"scene": scene, "settings": SETTINGS, "stop": {"samples": 4}})
+    assert answer.status_code == 202, answer.text
+    assert answer.headers["Location"] == f"/v1/jobs/{answer.json()['id']}"
+    assert answer.headers["ETag"] == f'"{answer.json()["revision"]}"'
+    yield answer.json()
+    client.post(f"/v1/jobs/{answer.json()['id']}:cancel")
+
+
+def events(answer: httpx.Response) -> list[dict[str, str]]:
+    """The events of a stream that has ended; fields without an id are put together as well."""
+    assert answer.headers["Content-Type"].startswith("text/event-stream")
+    blocks = [block for block in answer.text.split("\n\n") if block and not block.startswith(":")]
+    return [dict(line.split(": ", 1) for line in block.splitlines()) for block in blocks]
+
+
+def test_read(client: httpx.Client, job: dict[str, Any]) -> None:
+    answer = client.get(f"/v1/jobs/{job['id']}")
+    record = answer.json()
+    assert record["state"] == "queued"
+    assert (record["width"], record["height"]) == (8, 8)
+    assert record["settings"]["integrator"] == "mi_path"
+    assert client.get("/v1/jobs", params={"limit": 1}).json()["jobs"][0]["id"] == job["id"]
+
+
+def test_not_modified_until_it_changes(client: httpx.Client, job: dict[str, Any]) -> None:
+    url = f"/v1/jobs/{job['id']}"
+    tag = client.get(url).headers["ETag"]
+    same = client.get(url, headers={"If-None-Match": tag})
+    assert (same.status_code, same.content, same.headers["ETag"]) == (304, b"", tag)
+    assert client.post(f"{url}:cancel").json()["state"] == "cancelled"
+    changed = client.get(url, headers={"If-None-Match": tag})
+    assert changed.status_code == 200
+    assert changed.headers["ETag"] != tag
+
+
+def test_cancel_twice(client: httpx.Client, job: dict[str, Any]) -> None:
+    first = client.post(f"/v1/jobs/{job['id']}:cancel").json()
+    assert first["state"] == "cancelled"
+    assert client.post(f"/v1/jobs/{job['id']}:cancel").json() == first
+    assert_problem(client.post("/v1/jobs/nope:cancel"), 404, "not-found")
+
+
+def test_no_image_yet(client: httpx.Client, job: dict[str, Any]) -> None:
+    for name in ("image.exr", "image.png", "error.exr", "error.png"):
+        assert_problem(client.get(f"/v1/jobs/{job['id']}/{name}"), 404, "no-image")
+
+
+@pytest.mark.parametrize("query", ["exposure=nan", "exposure=21", "tone=sepia"])
+def test_invalid_preview(client: httpx.Client, job: dict[str, Any], query: str) -> None:
+    assert_problem(client.get(f"/v1/jobs/{job['id']}/image.png?{query}"), 422, "invalid-input")
+
+
+def test_events_are_replayed_from_where_the_client_was(client: httpx.Client, job: dict[str, Any]) -> None:
+    client.post(f"/v1/jobs/{job['id']}:cancel")
+    url = f"/v1/jobs/{job['id']}/events"
+    retry, *all_events = events(client.get(url))
+    assert retry == {"retry": "1000"}
+    numbers = [int(event["id"]) for event in all_events]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert all_events[0]["event"] == "state"
+    assert "queued" in all_events[0]["data"]
+    assert "cancelled" in all_events[-1]["data"]
+    missed = events(client.get(url, headers={"Last-Event-ID": "1"}))[1:]
+    assert missed == all_events[1:]
+    # 204 is how a browser's EventSource is told that there is nothing to come back for.
+    assert client.get(url, headers={"Last-Event-ID": str(numbers[-1])}).status_code == 204
+
+
+def test_events_arrive_while_the_job_lives(client: httpx.Client, job: dict[str, Any]) -> None:
+    seen = []
+    with client.stream("GET", f"/v1/jobs/{job['id']}/events") as answer:
+        for line in answer.iter_lines():
+            if line.startswith("data: "):
+                seen.append(line)
+                if len(seen) == 1:
+                    client.post(f"/v1/jobs/{job['id']}:cancel")
+    assert "queued" in seen[0]
+    assert "cancelled" in seen[-1]
+
+
+@pytest.mark.parametrize("last", ["x", "-1", "1.5", "1e3", "9" * 400])
+def test_invalid_last_event_id(client: httpx.Client, job: dict[str, Any], last: str) -> None:
+    answer = client.get(f"/v1/jobs/{job['id']}/events", headers={"Last-Event-ID": last})
+    assert_problem(answer, 422, "invalid-input")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"settings": SETTINGS | {"sensor": 7}},
+        {"settings": SETTINGS | {"width": 16384, "height": 16384}},
+        {"stop": {"samples": 2**24}},
+        {"stop": {"seconds": 29 * 24 * 3600.0}},
+    ],
+)
+def test_settings_that_do_not_fit(client: httpx.Client, scene: str, change: dict[str, Any]) -> None:
+    body = {"scene": scene, "settings": SETTINGS, "stop": {"samples": 4}} | change
+    assert_problem(client.post("/v1/jobs", json=body), 422, "settings-rejected")
+
+
+def test_context_of_a_queued_job_is_not_there(client: httpx.Client, scene: str) -> None:
+    body = {"scene": scene, "settings": {"light_sampling": "adjoint"}, "stop": {"samples": 4}}
+    job = client.post("/v1/jobs", json=body).json()
+    answer = client.get(f"/v1/contexts/{job['context_digest']}/adjoint.png")
+    assert_problem(answer, 404, "no-image" if job["context_state"] == "building" else answer.json()["type"][17:])
+    client.post(f"/v1/jobs/{job['id']}:cancel")
+
+
+def test_service(client: httpx.Client) -> None:
+    assert client.get("/readyz").json() == {"status": "ok"}
+    assert client.get("/v1/workers").json() == {"workers": []}
+    links = client.get("/").json()
+    for path in links.values():
+        assert client.get(path).status_code in (200, 405)

@@ -1,0 +1,1 @@
+"""Jobs: their state, the queue, the artefacts and the tasks that render them."""

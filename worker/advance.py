@@ -1,0 +1,158 @@
+"""What a job needs next: pure decisions from its record to the work that it should start or its end.
+
+Nothing here talks to Redis, the store or the renderer, and the time is an argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import count
+from typing import NamedTuple
+
+from worker.models import FINAL_STATES, ContextState, Job
+from worker.state import JobEntry
+
+EAGER_SECONDS = 60.0
+"""In a job's first minute of images new ones come every few seconds; later at each doubling of samples."""
+
+ChunkSpp = Callable[[int], int]
+"""Samples per pixel of the chunk with a given index."""
+
+
+class Decision(NamedTuple):
+    """What to do for a job now."""
+
+    finish: bool = False
+    """The stop criterion is met and nothing is left to wait for."""
+    build_context: bool = False
+    """The job needs a context that nobody builds yet."""
+    start: tuple[int, ...] = ()
+    """Chunks to offer."""
+
+
+def decide(
+    entry: JobEntry,
+    context: ContextState | None,
+    done: frozenset[int],
+    in_flight: frozenset[int],
+    window: int,
+    now: float,
+    chunk_spp: ChunkSpp,
+) -> Decision:
+    """The next step of a job all of whose mergeable chunks are merged.
+
+    Args:
+        entry: the job.
+        context: state of the context that it needs; None where it needs none.
+        done: chunks of its render digest that the store holds.
+        in_flight: chunks of its render digest that are offered or running, for whichever job.
+        window: most chunks in flight for the job, so that ending it early wastes little.
+        now: Unix time, seconds.
+        chunk_spp: the schedule of its render digest.
+    """
+    job = entry.job
+    if job.state in FINAL_STATES:
+        return Decision()
+    if entry.merged and (_reached(job, now) or _planned(job, entry.merged, chunk_spp)):
+        return Decision(finish=True)
+    if context in ("missing", "failed"):
+        return Decision(build_context=True)
+    if context == "building":
+        return Decision()
+    known = done | in_flight | frozenset(entry.merged)
+    room = window - len(in_flight)
+    wanted: list[int] = []
+    spp = 0
+    for index in count():
+        if (job.stop.samples is not None and spp >= job.stop.samples) or len(wanted) >= room:
+            break
+        spp += chunk_spp(index)
+        if index not in known:
+            wanted.append(index)
+    if entry.merged and not _worth_starting(entry, now):
+        # What is in flight now was started in time and is waited for, then the job is finished.
+        return Decision(finish=not in_flight)
+    return Decision(start=tuple(wanted))
+
+
+def mergeable(entry: JobEntry, done: Iterable[int], chunk_spp: ChunkSpp) -> list[int]:
+    """Chunks in the store that the job should still merge, ascending.
+
+    A limit on samples takes the first chunks of the stream and no others, so that the image does
+    not depend on which chunks another job with the same digest made.
+    """
+    candidates = sorted(set(done) - set(entry.merged))
+    limit = entry.job.stop.samples
+    if limit is None or not candidates:
+        return candidates
+    spp = 0
+    for index in count():
+        if spp >= limit:
+            return [candidate for candidate in candidates if candidate < index]
+        if index > candidates[-1]:
+            return candidates
+        spp += chunk_spp(index)
+    raise AssertionError  # count never ends
+
+
+def publish_due(entry: JobEntry, now: float, every: float) -> bool:
+    """Whether the merged chunks are worth a new image: the first, then each ``every`` seconds, then each doubling."""
+    job = entry.job
+    if job.samples_done == entry.image_samples:
+        return False
+    if entry.image_samples == 0 or job.state in FINAL_STATES:
+        return True
+    if now - entry.image_time < every:
+        return False
+    early = job.started is not None and now - job.started < EAGER_SECONDS
+    return early or job.samples_done >= 2 * entry.image_samples
+
+
+def eta_seconds(entry: JobEntry, now: float) -> float | None:
+    """Seconds until the first limit of the stop criterion is met, or None where nothing is known yet."""
+    job, stop = entry.job, entry.job.stop
+    if job.started is None or job.samples_done == 0:
+        return None
+    elapsed = now - job.started
+    rendering = max(elapsed - job.seconds_context, 0.0)
+    estimates = []
+    if stop.seconds is not None:
+        estimates.append(stop.seconds - elapsed)
+    if stop.samples is not None:
+        estimates.append(rendering * (stop.samples / job.samples_done - 1.0))
+    if stop.error is not None and job.relative_error is not None:
+        # The error falls with the square root of the samples.
+        estimates.append(rendering * ((job.relative_error / stop.error) ** 2 - 1.0))
+    return max(min(estimates), 0.0) if estimates else None
+
+
+def ranges(indices: Iterable[int]) -> str:
+    """Indices as text: ``0-7,9``."""
+    parts: list[list[int]] = []
+    for index in sorted(indices):
+        if parts and index == parts[-1][1] + 1:
+            parts[-1][1] = index
+        else:
+            parts.append([index, index])
+    return ",".join(f"{a}-{b}" if a != b else f"{a}" for a, b in parts)
+
+
+def _reached(job: Job, now: float) -> bool:
+    """Whether seconds or error are met; samples are a set of chunks, see :func:`_planned`."""
+    stop = job.stop
+    seconds = stop.seconds is not None and job.started is not None and now - job.started >= stop.seconds
+    error = stop.error is not None and job.relative_error is not None and job.relative_error <= stop.error
+    return seconds or error
+
+
+def _planned(job: Job, merged: tuple[int, ...], chunk_spp: ChunkSpp) -> bool:
+    """Whether the merged chunks are all that the limit on samples asks for."""
+    return job.stop.samples is not None and sum(chunk_spp(index) for index in merged) >= job.stop.samples
+
+
+def _worth_starting(entry: JobEntry, now: float) -> bool:
+    """Whether at least half of another chunk fits into the time left, so that jobs end on time on average."""
+    job = entry.job
+    if job.stop.seconds is None or job.started is None:
+        return True
+    return now + entry.chunk_seconds / 2 <= job.started + job.stop.seconds

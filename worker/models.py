@@ -1,0 +1,106 @@
+"""Records that cross from the worker package to its users: jobs, scenes, contexts, events.
+
+All are pydantic models, JSON in and JSON out; the HTTP API returns them as they are.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from elps_core.settings import ContextSettings, RenderSettings, StopCriterion
+
+JobState = Literal["queued", "preparing", "rendering", "paused", "completed", "cancelled", "failed"]
+FINAL_STATES: frozenset[str] = frozenset({"completed", "cancelled", "failed"})
+ContextState = Literal["missing", "building", "ready", "failed"]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SceneRecord(_Record):
+    """A scene that was uploaded and passed the checks."""
+
+    digest: str
+    """Content hash of everything that the image depends on: ``sha256:<64 hex digits>``."""
+    name: str
+    """What the uploader called the file; shown, never used as a path."""
+    summary: dict[str, Any]
+    """Sensors with film sizes, emitters, BSDF classes, triangle count, warnings."""
+    created: float
+    """Unix time of the first upload, seconds."""
+
+
+class ContextRecord(_Record):
+    """A global context: built, being built, or known by name only."""
+
+    digest: str
+    state: ContextState
+    scene: str
+    sensor: int
+    settings: ContextSettings
+    progress: float = 0.0
+    """Share of the preprocessing pass that is done, 0 to 1."""
+    seconds: float | None = None
+    """Time that building took, summed over its steps."""
+    statistics: dict[str, Any] = {}
+    error: str | None = None
+
+
+class Job(_Record):
+    """One render request and where it stands."""
+
+    id: str
+    revision: int
+    """Counts the changes of this record; the entity tag of the job."""
+    state: JobState
+    scene: str
+    settings: RenderSettings
+    stop: StopCriterion
+    priority: int = 0
+    created: float
+    started: float | None = None
+    finished: float | None = None
+    queue_position: int | None = None
+    width: int
+    height: int
+    samples_done: int = 0
+    """Samples per pixel merged so far."""
+    chunks_done: int = 0
+    chunks_running: int = 0
+    image_revision: int = 0
+    """Counts the published images; 0 while there is none."""
+    relative_error: float | None = None
+    context_digest: str | None = None
+    context_hit: bool | None = None
+    """True where the context existed before this job asked for it."""
+    context_state: ContextState | None = None
+    context_progress: float = 0.0
+    seconds_context: float = 0.0
+    seconds_rendering: float = 0.0
+    """Sum over chunks of the time a worker spent on them."""
+    eta_seconds: float | None = None
+    digest: str
+    """Render digest: what the image depends on. Equal digests share chunks."""
+    message: str | None = None
+    """One line for the user where the job failed."""
+
+
+class Event(_Record):
+    """One change of a job, numbered per job from 1."""
+
+    id: int
+    type: Literal["state", "context", "progress", "image"]
+    data: dict[str, Any]
+
+
+class WorkerInfo(_Record):
+    """A worker process that was heard of recently."""
+
+    name: str
+    device: str
+    variants: list[str]
+    busy: bool
+    last_seen: float

@@ -1,0 +1,151 @@
+"""What a rendering process keeps between tasks, so that a job's second chunk costs no set-up.
+
+Only the child that Celery forks uses this: it is the one place of the package that loads Mitsuba.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from elps_core.context.store import GlobalContext, load
+from elps_core.errors import RenderFailed
+from elps_core.estimate.film import Accumulation
+from worker.models import Job
+from worker.store import Store, name
+
+if TYPE_CHECKING:
+    from elps_core.context.build import ContextBuilder
+    from elps_core.renderer import Renderer
+    from elps_core.scene.loader import LoadedScene
+
+SCENES_KEPT = 2
+"""Loaded scenes, renderers and builders kept: fair shares make two jobs alternate on one worker."""
+ACCUMULATIONS_KEPT = 4
+"""Merged images kept; one of 4096 x 4096 pixels takes 0.9 GB, the usual one 15 MB."""
+
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V")
+
+
+class Recent(Generic[K, V]):
+    """The values used last, made when they are first asked for."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._values: OrderedDict[K, V] = OrderedDict()
+
+    def get(self, key: K, make: Callable[[], V]) -> V:
+        """The value of ``key``; another one makes room before a new one is made."""
+        if key in self._values:
+            self._values.move_to_end(key)
+        else:
+            while len(self._values) >= self._capacity:
+                self._values.popitem(last=False)
+            self._values[key] = make()
+        return self._values[key]
+
+    def forget(self, key: K) -> None:
+        """Drop one value."""
+        self._values.pop(key, None)
+
+
+class Warm:
+    """Scenes, renderers, context builders and merged images of one rendering process."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._folder = tempfile.TemporaryDirectory(prefix="elps-worker-")
+        self._scenes: Recent[tuple[object, ...], LoadedScene] = Recent(SCENES_KEPT)
+        self._renderers: Recent[str, Renderer] = Recent(SCENES_KEPT)
+        self._builders: Recent[str, ContextBuilder] = Recent(SCENES_KEPT)
+        self._accumulations: Recent[str, Accumulation] = Recent(ACCUMULATIONS_KEPT)
+
+    def prepare(self, variant: str) -> None:
+        """Load Mitsuba and what renders with it, before the first job asks. Raises DeviceUnavailable."""
+        from elps_core import device
+
+        device.use(variant)
+        import elps_core.io.exr  # noqa: F401
+        import elps_core.renderer  # noqa: F401
+
+    def renderer(self, job: Job) -> Renderer:
+        """The renderer of a job's chunks, its context loaded.
+
+        Raises:
+            ElpsError: the scene or its context does not load.
+        """
+        from elps_core import device
+        from elps_core.renderer import Renderer
+
+        device.use(job.settings.variant)  # another job may have set another one
+        return self._renderers.get(
+            job.digest, lambda: Renderer(self._scene(job), job.settings, self._context(job.context_digest))
+        )
+
+    def builder(self, job: Job, done: int) -> ContextBuilder:
+        """The builder of a job's context after ``done`` steps, or after as many as are saved."""
+        from elps_core import device
+        from elps_core.context.build import ContextBuilder
+
+        device.use(job.settings.variant)
+        digest = job.context_digest or ""
+        builder = self._builders.get(digest, lambda: ContextBuilder(self._scene(job), job.settings.context))
+        if builder.done != done:
+            self._builders.forget(digest)
+            builder = self._builders.get(digest, lambda: ContextBuilder(self._scene(job), job.settings.context))
+            saved = self._store.get(checkpoint_key(digest, done)) if done else None
+            if saved is not None:
+                builder.restore(saved)
+        return builder
+
+    def forget_builder(self, digest: str) -> None:
+        """Give back the memory of a context that is finished."""
+        self._builders.forget(digest)
+
+    def accumulation(self, job: Job) -> Accumulation:
+        """What this process has merged of a job so far."""
+        return self._accumulations.get(job.id, lambda: Accumulation.empty(job.width, job.height))
+
+    def forget_accumulation(self, job: Job) -> None:
+        """Give back the memory of a job's merged image."""
+        self._accumulations.forget(job.id)
+
+    def close(self) -> None:
+        """Remove the temporary files."""
+        self._folder.cleanup()
+
+    def _scene(self, job: Job) -> LoadedScene:
+        size = (job.width, job.height)
+        key = (job.scene, job.settings.variant, job.settings.sensor, size)
+        return self._scenes.get(key, lambda: self._load(job, size))
+
+    def _load(self, job: Job, size: tuple[int, int]) -> LoadedScene:
+        from elps_core.scene.bundle import unpack
+        from elps_core.scene.loader import load_scene
+
+        own = job.settings.width is None
+        with tempfile.TemporaryDirectory(dir=self._folder.name) as folder:
+            for suffix in (".zip", ".xml"):
+                upload = self._store.fetch(f"scenes/{name(job.scene)}{suffix}", Path(folder))
+                if upload is not None:
+                    xml = unpack(upload, Path(folder) / "bundle")
+                    sensor = job.settings.sensor
+                    return load_scene(xml, job.settings.variant, sensor=sensor, size=None if own else size)
+        raise RenderFailed("the scene is no longer in the store: upload it again")
+
+    def _context(self, digest: str | None) -> GlobalContext | None:
+        if digest is None:
+            return None
+        path = self._store.fetch(f"contexts/{name(digest)}.safetensors", Path(self._folder.name))
+        if path is None:
+            raise RenderFailed("the context is no longer in the store: submit the job again")
+        return load(path)
+
+
+def checkpoint_key(digest: str, done: int) -> str:
+    """Key of a context's state after ``done`` steps."""
+    return f"contexts/{name(digest)}/{done}"
