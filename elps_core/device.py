@@ -24,7 +24,7 @@ from elps_core.errors import DeviceUnavailable
 OLDEST_LLVM = 17
 """Dr.Jit 1.5 loads 15 and 16 without complaint and then aborts the process."""
 TESTED_LLVM = 19
-"""The version that the renderer is tested with; of several, the nearest to it is taken."""
+"""The version that the renderer is tested with; of several, the nearest is taken (17, 18 and 22 were seen to work)."""
 
 LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 """Environment variable by which Dr.Jit is told its LLVM library, and the user's own choice."""

@@ -5,15 +5,16 @@ Imports of what a command needs stand in the command, so that ``elps --help`` an
 
 from __future__ import annotations
 
-import json
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from elps_core import options
+from elps_core.errors import SettingsRejected
+
 if TYPE_CHECKING:
-    from elps_core.settings import RenderSettings, StopCriterion
     from worker.models import Job
 
 URL = "http://127.0.0.1:8000"
@@ -43,21 +44,21 @@ def serve(
 
 
 def submit(
-    scene: Annotated[Path, typer.Argument(exists=True, help="Scene: an .xml, a .zip or a folder.")],
-    integrator: Annotated[str | None, typer.Option(help="bdpt, or mi_path and other integrators of Mitsuba.")] = None,
-    light_sampling: Annotated[str | None, typer.Option(help="uniform, power or adjoint.")] = None,
-    direction_sampling: Annotated[str | None, typer.Option(help="scattering or context.")] = None,
-    roulette: Annotated[str | None, typer.Option(help="throughput, albedo, context or none.")] = None,
-    spp: Annotated[int | None, typer.Option(help="Stop after this many samples per pixel.")] = None,
-    seconds: Annotated[float | None, typer.Option(help="Stop after this time, everything counted.")] = None,
-    error: Annotated[float | None, typer.Option(help="Stop at this relative error.")] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size in pixels; the scene's own if absent.")] = None,
-    max_depth: Annotated[int | None, typer.Option(help="Longest path in segments.")] = None,
-    sensor: Annotated[int | None, typer.Option(help="Which camera, from 0.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Random stream.")] = None,
-    variant: Annotated[str | None, typer.Option(help="Mitsuba variant.")] = None,
-    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=VALUE", help="Any setting.")] = None,
-    priority: Annotated[int, typer.Option(help="Higher is sooner.")] = 0,
+    scene: options.Scene,
+    integrator: options.Integrator = None,
+    light_sampling: options.LightSampling = None,
+    direction_sampling: options.DirectionSampling = None,
+    roulette: options.Roulette = None,
+    spp: options.Spp = None,
+    seconds: options.Seconds = None,
+    error: options.Error = None,
+    size: options.Size = None,
+    max_depth: options.MaxDepth = None,
+    sensor: options.Sensor = None,
+    seed: options.Seed = None,
+    variant: options.Variant = None,
+    assignments: options.Assignments = None,
+    priority: Annotated[int, typer.Option(min=-9, max=9, help="Higher is sooner.")] = 0,
     url: Url = URL,
     wait: Annotated[bool, typer.Option("--watch", help="Show the progress until the end.")] = False,
     output: Output = None,
@@ -66,7 +67,7 @@ def submit(
     """Send a scene to the service and have it rendered; prints the job's id."""
     from service.client import Client
 
-    given: dict[str, Any] = {
+    given = {
         "integrator": integrator,
         "light_sampling": light_sampling,
         "direction_sampling": direction_sampling,
@@ -76,10 +77,8 @@ def submit(
         "seed": seed,
         "variant": variant,
     }
-    if size is not None:
-        given["width"], given["height"] = _size(size)
-    settings = _settings(given, assignments or [])
-    stop = _stop(spp, seconds, error)
+    settings = options.settings_from(given, size, assignments)
+    stop = options.stop_from(spp, seconds, error)
     with Client(url) as client, tempfile.TemporaryDirectory(prefix="elps-submit-") as folder:
         record = client.upload(_bundle(scene, Path(folder)))
         job = client.submit(record.digest, settings, stop, priority)
@@ -138,46 +137,12 @@ def _exit(job: Job) -> None:
         raise typer.Exit(1)
 
 
-def _size(text: str) -> tuple[int, int]:
-    width, separator, height = text.lower().partition("x")
-    if not (separator and width.isdecimal() and height.isdecimal()):
-        raise typer.BadParameter("give the size as WxH, for example 640x480")
-    return int(width), int(height)
-
-
-def _settings(given: dict[str, Any], assignments: list[str]) -> RenderSettings:
-    from elps_core.settings import RenderSettings, with_overrides
-
-    values = {name: value for name, value in given.items() if value is not None}
-    for assignment in assignments:
-        name, separator, text = assignment.partition("=")
-        if not separator:
-            raise typer.BadParameter("give --set as NAME=VALUE, for example context.resolution=32")
-        try:
-            values[name] = json.loads(text)
-        except ValueError:
-            values[name] = text
-    return with_overrides(RenderSettings(), values)
-
-
-def _stop(spp: int | None, seconds: float | None, error: float | None) -> StopCriterion:
-    from pydantic import ValidationError
-
-    from elps_core.errors import SettingsRejected
-    from elps_core.settings import StopCriterion, first_problem
-
-    if spp is None and seconds is None and error is None:
-        raise typer.BadParameter("say when to stop: --spp, --seconds or --error")
-    try:
-        return StopCriterion(samples=spp, seconds=seconds, error=error)
-    except ValidationError as problem:
-        raise SettingsRejected(first_problem(problem)) from None
-
-
 def _bundle(scene: Path, folder: Path) -> Path:
     """The file to upload: ``scene`` itself, or a zip of it below ``folder`` where it is a folder."""
-    if not scene.is_dir():
+    if scene.is_file():
         return scene
+    if not scene.is_dir():
+        raise SettingsRejected("no such scene: give an .xml, a .zip or a folder")
     import zipfile
 
     path = folder / f"{scene.resolve().name}.zip"

@@ -16,6 +16,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.routing import Match
 
 from elps_core.errors import ElpsError, SceneRejected, SettingsRejected
@@ -169,6 +170,7 @@ def add_handlers(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_validation)
     app.add_exception_handler(ElpsError, _on_rejection)
+    app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_failure)
 
 
@@ -235,6 +237,11 @@ async def _on_rejection(_request: Request, error: Exception) -> Response:
     elif isinstance(error, SettingsRejected):
         kind = "settings-rejected"
     return Problem(kind, str(error)).response()
+
+
+async def _on_disconnect(_request: Request, _error: Exception) -> Response:
+    # Nobody reads this; without it the log would call a sender that hung up a failure of ours.
+    return Problem("bad-request", "send the whole body").response()
 
 
 async def _on_failure(_request: Request, _error: Exception) -> Response:

@@ -1,19 +1,17 @@
 """``elps serve``: everything that one machine needs, in one command, and all of it gone at the end.
 
-The API runs in this process. The coordination server and the workers are child processes: the
-former watches us by itself (:mod:`worker.embedded`), the latter are ended here.
+The API runs in this process. The coordination server and the workers are child processes that are
+ended here, and that end by themselves where this process is killed.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ipaddress
-import os
 import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
@@ -25,14 +23,13 @@ from service.app import create_app
 from service.settings import ServiceSettings
 from worker.embedded import EmbeddedServer
 from worker.farm import Farm
+from worker.run import start_process, stop_process
 from worker.settings import FarmSettings
 
 ELPS = [sys.executable, "-m", "elps_core.cli"]
 """The command ``elps`` of this installation, wherever its script lies."""
 HANG_UP_SECONDS = 2
 """How long open event streams may hold up the end."""
-WORKER_STOP_SECONDS = 20.0
-"""How long a worker may take to finish or hand back its chunk, which takes up to 10 s; then it is killed."""
 LOOK_TICKS = 10
 """Ticks of the server, of 0.1 s each, between two looks whether the workers are alive."""
 
@@ -157,23 +154,13 @@ def _settings(data: Path, stack: contextlib.ExitStack) -> FarmSettings:
 
 @contextlib.contextmanager
 def _workers(settings: FarmSettings, count: int) -> Iterator[list[subprocess.Popen[bytes]]]:
-    environment = os.environ | {
-        "ELPS_REDIS_URL": str(settings.redis_url),
-        "ELPS_STORE_URL": str(settings.store_url),
-    }
     workers: list[subprocess.Popen[bytes]] = []
     try:
         for _ in range(count):
-            # A group of its own: an interrupt from the terminal is for us, and we end the worker in order.
-            workers.append(subprocess.Popen([*ELPS, "worker"], env=environment, start_new_session=True))  # noqa: S603
+            workers.append(start_process(settings))
         yield workers
     finally:
-        for worker in workers:
+        for worker in workers:  # all at once, since each one finishes its chunk first
             worker.terminate()
-        end = time.monotonic() + WORKER_STOP_SECONDS
         for worker in workers:
-            try:
-                worker.wait(max(0.0, end - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                os.killpg(worker.pid, signal.SIGKILL)
-                worker.wait()
+            stop_process(worker)

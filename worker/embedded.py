@@ -49,7 +49,8 @@ class EmbeddedServer:
             port, password = _free_port(), secrets.token_hex(16)
             self.url = f"redis://:{password}@127.0.0.1:{port}/0"
             command = [sys.executable, "-m", "worker.watcher", program, str(folder), *keep]
-            self._watcher = subprocess.Popen(command, stdin=subprocess.PIPE)  # noqa: S603
+            # A session of its own: an interrupt from the terminal is not for the server, which ends last.
+            self._watcher = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603
             self._say(_configuration(port, password, folder))
             if self._answers():
                 return

@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import re
+import secrets
+import tempfile
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from redis.asyncio import Redis as AsyncRedis
+from redis.exceptions import RedisError
 
+from elps_core.context.store import load
+from elps_core.errors import ElpsError, SceneRejected, SettingsRejected
+from elps_core.io.exr import read_exr
+from elps_core.scene.bundle import is_archive
+from elps_core.scene.digest import context_digest, render_digest
+from elps_core.scene.inspect import inspect_in_child
+from elps_core.scene.summary import SceneSummary
 from elps_core.settings import RenderSettings, StopCriterion
-from worker.models import ContextRecord, Event, Job, SceneRecord, WorkerInfo
+from worker.errors import FarmUnavailable
+from worker.leases import Work
+from worker.models import FINAL_STATES, ContextRecord, Event, Job, SceneRecord, WorkerInfo
+from worker.parts import Parts
+from worker.publish import ERROR_PART, IMAGE_PART
 from worker.settings import FarmSettings
+from worker.state import JobEntry, events_key, missing_context, parse_event
+from worker.store import name as key_name
+
+FOLLOW_BLOCK_MILLISECONDS = 2000
+"""A follower that heard nothing for this long looks whether its job is final; below Redis's socket timeout."""
+_DIGEST = re.compile(r"sha256:[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
@@ -26,21 +50,38 @@ class Image:
     data: bytes
 
 
+@contextmanager
+def _answering() -> Iterator[None]:
+    """Say in one line that Redis is gone."""
+    try:
+        yield
+    except RedisError:
+        raise FarmUnavailable("the farm's Redis does not answer: try again later") from None
+
+
 class Farm:
-    """Scenes, jobs, contexts and workers behind one Redis and one store."""
+    """Scenes, jobs, contexts and workers behind one Redis and one store. Safe between threads.
+
+    Every method raises FarmUnavailable where Redis or the store does not answer.
+    """
+
+    def __init__(self, parts: Parts) -> None:
+        self._parts = parts
 
     @classmethod
     def connect(cls, settings: FarmSettings) -> Farm:
         """A farm on ``settings``; opens no connection yet, so it succeeds where Redis is down.
 
         Raises:
-            SettingsRejected: ``redis_url`` or ``store_url`` is absent or malformed.
+            SettingsRejected: ``redis_url`` or ``store_url`` is absent.
         """
-        raise NotImplementedError
+        return cls(Parts(settings))
 
     def close(self) -> None:
         """Give the connections back."""
-        raise NotImplementedError
+        self._parts.close()
+
+    # Scenes
 
     def add_scene(self, upload: Path, name: str) -> tuple[SceneRecord, bool]:
         """Check ``upload`` (a .zip or an .xml file) in a sandboxed child and store it; (record, created).
@@ -48,69 +89,222 @@ class Farm:
         Raises:
             SceneRejected: what is wrong, in one line; nothing is left behind.
         """
-        raise NotImplementedError
+        report = inspect_in_child(upload)
+        present = self.scene(report.digest)
+        if present is not None:
+            return present, False
+        summary = report.summary.model_dump(mode="json")
+        record = SceneRecord(digest=report.digest, name=name, summary=summary, created=time.time())
+        stem = f"scenes/{key_name(report.digest)}"
+        self._parts.store.put(stem + (".zip" if is_archive(upload) else ".xml"), upload.read_bytes())
+        created = self._parts.store.put(f"{stem}.json", record.model_dump_json().encode())
+        return self.scene(report.digest) or record, created
 
     def scene(self, digest: str) -> SceneRecord | None:
         """The record of a stored scene."""
-        raise NotImplementedError
+        data = self._json("scenes", digest)
+        return None if data is None else SceneRecord.model_validate_json(data)
 
-    def scenes(self, limit: int = 50) -> list[SceneRecord]:
-        """Stored scenes, newest first."""
-        raise NotImplementedError
+    # Jobs
 
+    @_answering()
     def submit(self, scene: str, settings: RenderSettings, stop: StopCriterion, *, priority: int = 0) -> Job:
-        """Create a job in state queued.
+        """Create a job in state queued. A job with neither samples nor seconds gets the farm's most seconds.
 
         Raises:
             SceneRejected: no such scene.
             SettingsRejected: sensor out of range, or over the farm's limits.
         """
-        raise NotImplementedError
+        record = self.scene(scene)
+        if record is None:
+            raise SceneRejected("no such scene: upload it first")
+        size = self._checked_size(SceneSummary.model_validate(record.summary), settings)
+        context = context_digest(scene, settings.sensor, size, settings.context) if settings.needs_context else None
+        hit = None if context is None else self._json("contexts", context) is not None
+        job = Job(
+            id=secrets.token_hex(8),
+            revision=1,
+            state="queued",
+            scene=scene,
+            settings=settings,
+            stop=self._checked_stop(stop),
+            priority=priority,
+            created=time.time(),
+            width=size[0],
+            height=size[1],
+            context_digest=context,
+            context_hit=hit,
+            context_state=None if hit is None else "ready" if hit else "missing",
+            context_progress=1.0 if hit else 0.0,
+            digest=render_digest(scene, settings, size),
+        )
+        entry = JobEntry(job=job, touched=job.created)
+        self._parts.record(entry)
+        self._parts.list_chunks(job.digest)
+        if hit is False:
+            known = self._parts.state.context(context or "")
+            if known is None or known.state == "ready":  # ready, and gone from the store since
+                self._parts.state.set_context(missing_context(job))
+        self._parts.state.create(entry)
+        self._parts.queue.settle(job)
+        return self.job(job.id) or job
 
+    @_answering()
     def job(self, id: str) -> Job | None:  # noqa: A002
-        """Where a job stands now."""
-        raise NotImplementedError
+        """Where a job stands now. ``queue_position`` and ``chunks_running`` do not count as changes of its revision."""
+        entry = self._parts.state.entry(id)
+        return None if entry is None else self._shown([entry])[0]
 
+    @_answering()
     def jobs(self, limit: int = 50) -> list[Job]:
         """Jobs, newest first."""
-        raise NotImplementedError
+        return self._shown(self._parts.state.newest(limit))
 
+    @_answering()
     def cancel(self, id: str) -> Job | None:  # noqa: A002
         """Make a job final; idempotent. Chunks that it has and are not yet published follow as one last image."""
-        raise NotImplementedError
+        entry = self._parts.state.entry(id)
+        if entry is None or entry.job.state in FINAL_STATES:
+            return None if entry is None else entry.job
+        entry = self._parts.state.enter(id, "cancelled")
+        if entry is None:
+            return None
+        self._parts.record(entry)
+        self._parts.queue.settle(entry.job)
+        return entry.job
 
+    @_answering()
     def events(self, id: str, after: int = 0) -> list[Event]:  # noqa: A002
-        """Events of a job numbered above ``after``, oldest first."""
-        raise NotImplementedError
+        """Events of a job numbered above ``after``, oldest first; the last thousand are kept.
 
-    def follow(self, id: str, after: int = 0) -> AsyncIterator[Event]:  # noqa: A002
-        """Events as they come (an async generator); ends after the event of a final state."""
-        raise NotImplementedError
+        Data: ``state`` has state and message; ``context`` state and progress; ``progress`` samples_done,
+        chunks_done, relative_error, seconds_rendering and eta_seconds; ``image`` revision and samples.
+        """
+        return self._parts.state.events(id, after)
 
+    async def follow(self, id: str, after: int = 0) -> AsyncIterator[Event]:  # noqa: A002
+        """Events as they come; ends after the event of a final state, or where the job is final or unknown."""
+        client = AsyncRedis.from_url(self._parts.redis_url, decode_responses=True)
+        try:
+            while True:
+                with _answering():
+                    streams = {events_key(id): f"{after}-0"}
+                    reply: Any = await client.xread(streams, block=FOLLOW_BLOCK_MILLISECONDS)  # type: ignore[arg-type]
+                entries = [entry for _, entries in reply for entry in entries]
+                for number, fields in entries:
+                    event = parse_event(number, fields)
+                    after = event.id
+                    yield event
+                    if event.type == "state" and event.data["state"] in FINAL_STATES:
+                        return
+                if not entries:
+                    job = self.job(id)
+                    if job is None or job.state in FINAL_STATES:
+                        return
+        finally:
+            await client.aclose()
+
+    @_answering()
     def image(self, id: str) -> Image | None:  # noqa: A002
         """The newest published image of a job."""
-        raise NotImplementedError
+        entry = self._parts.state.entry(id)
+        if entry is None or entry.image_key is None:
+            return None
+        data = self._parts.store.get(entry.image_key)
+        return None if data is None else Image(entry.job.image_revision, entry.image_key, data)
 
     def pixels(self, id: str) -> tuple[int, NDArray[np.float32], NDArray[np.float32]] | None:  # noqa: A002
         """(revision, mean [H, W, C], standard error [H, W, C]) of the newest published image, linear."""
-        raise NotImplementedError
+        image = self.image(id)
+        if image is None:
+            return None
+        with tempfile.TemporaryDirectory(prefix="elps-image-") as folder:
+            path = Path(folder) / "image.exr"
+            path.write_bytes(image.data)
+            parts, _ = read_exr(path)
+        return image.revision, parts[IMAGE_PART], parts[ERROR_PART]
 
+    # Contexts
+
+    @_answering()
     def context(self, digest: str) -> ContextRecord | None:
         """A context that some job named."""
-        raise NotImplementedError
+        data = self._json("contexts", digest)
+        return self._parts.state.context(digest) if data is None else ContextRecord.model_validate_json(data)
 
     def context_file(self, digest: str) -> bytes | None:
-        """The file of a ready context."""
-        raise NotImplementedError
+        """The file of a ready context (safetensors)."""
+        if not _DIGEST.fullmatch(digest):
+            return None
+        return self._parts.store.get(f"contexts/{key_name(digest)}.safetensors")
 
     def adjoint(self, digest: str) -> NDArray[np.float32] | None:
         """The adjoint image [rows, columns] of a ready context."""
-        raise NotImplementedError
+        data = self.context_file(digest)
+        if data is None:
+            return None
+        with tempfile.TemporaryDirectory(prefix="elps-context-") as folder:
+            path = Path(folder) / "context.safetensors"
+            path.write_bytes(data)
+            return np.array(load(path).adjoint)
 
+    # The farm itself
+
+    @_answering()
     def workers(self) -> list[WorkerInfo]:
-        """Workers heard of in the last seconds."""
-        raise NotImplementedError
+        """Workers heard of in the last seconds, by name."""
+        busy = set(self._parts.board.running().values())
+        infos = sorted(self._parts.state.workers(), key=lambda info: info.name)
+        return [info.model_copy(update={"busy": info.name in busy}) for info in infos]
 
     def ready(self) -> bool:
         """Whether Redis and the store answer."""
-        raise NotImplementedError
+        try:
+            self._parts.store.check()
+            return bool(self._parts.redis.ping())
+        except (RedisError, ElpsError):
+            return False
+
+    def _json(self, kind: str, digest: str) -> bytes | None:
+        """The record of an artefact; a digest from outside is no part of a key unless it is one."""
+        return self._parts.store.get(f"{kind}/{key_name(digest)}.json") if _DIGEST.fullmatch(digest) else None
+
+    def _shown(self, entries: list[JobEntry]) -> list[Job]:
+        """Jobs with what is true at this moment only."""
+        running: list[Work] = []
+        queued: list[str] = []
+        if any(entry.job.state not in FINAL_STATES for entry in entries):
+            running = list(self._parts.board.running())
+        if any(entry.job.state == "queued" for entry in entries):
+            waiting = [entry.job for entry in self._parts.state.active() if entry.job.state == "queued"]
+            queued = [job.id for job in sorted(waiting, key=lambda job: (-job.priority, job.created))]
+        jobs = []
+        for job in (entry.job for entry in entries):
+            fields: dict[str, int] = {}
+            if job.state not in FINAL_STATES:
+                fields["chunks_running"] = sum(work[:2] == ("chunk", job.digest) for work in running)
+            if job.id in queued:
+                fields["queue_position"] = queued.index(job.id) + 1
+            jobs.append(job.model_copy(update=fields))
+        return jobs
+
+    def _checked_size(self, summary: SceneSummary, settings: RenderSettings) -> tuple[int, int]:
+        """Width and height of the image in pixels."""
+        if settings.sensor >= len(summary.sensors):
+            raise SettingsRejected(f"sensor: the scene has {len(summary.sensors)}, counted from 0")
+        sensor = summary.sensors[settings.sensor]
+        width = sensor.width if settings.width is None else settings.width
+        height = sensor.height if settings.height is None else settings.height
+        if width * height > self._parts.settings.max_pixels:
+            raise SettingsRejected(f"width, height: at most {self._parts.settings.max_pixels} pixels are allowed here")
+        return width, height
+
+    def _checked_stop(self, stop: StopCriterion) -> StopCriterion:
+        limits = self._parts.settings
+        if stop.samples is not None and stop.samples > limits.max_samples:
+            raise SettingsRejected(f"samples: at most {limits.max_samples} are allowed here")
+        if stop.seconds is not None and stop.seconds > limits.max_seconds:
+            raise SettingsRejected(f"seconds: at most {limits.max_seconds:g} are allowed here")
+        if stop.samples is None and stop.seconds is None:
+            return stop.model_copy(update={"seconds": limits.max_seconds})
+        return stop

@@ -151,10 +151,10 @@ class Board:
         """Every piece on the board."""
         return frozenset(Work.parse(id) for id in cast("set[str]", self._redis.smembers(_ALL)))  # noqa: A001
 
-    def busy(self) -> frozenset[str]:
-        """Names of the workers that hold a piece."""
-        workers = (self._redis.hmget(_key(work), ["state", "worker"]) for work in self.in_flight())
-        return frozenset(cast("str", worker) for state, worker in workers if state == "running")
+    def running(self) -> dict[Work, str]:
+        """Pieces that a worker holds, and the worker's name."""
+        found = {work: self._redis.hmget(_key(work), ["state", "worker"]) for work in self.in_flight()}
+        return {work: str(worker) for work, (state, worker) in found.items() if state == "running"}
 
     def reclaim(self, forgotten_after: float | None) -> list[Offer]:
         """Offer anew what a lost worker held; the caller sends the result.

@@ -43,28 +43,28 @@ def _attributes(job: Job, merged: Accumulation, chunks: str) -> dict[str, str | 
     """Where the image comes from: enough to make it again."""
     settings = job.settings
     attributes: dict[str, str | int | float] = {
-        "elps:samples": merged.spp,
-        "elps:chunks": chunks,
-        "elps:seed": settings.seed,
-        "elps:integrator": settings.integrator,
-        "elps:lightSampling": settings.light_sampling,
-        "elps:directionSampling": settings.direction_sampling,
-        "elps:roulette": settings.roulette,
-        "elps:maxDepth": settings.max_depth,
-        "elps:sensor": settings.sensor,
-        "elps:device": settings.variant,
-        "elps:sceneDigest": job.scene,
-        "elps:renderDigest": job.digest,
-        "elps:secondsRendering": merged.seconds,
+        "samples": merged.spp,
+        "chunks": chunks,
+        "seed": settings.seed,
+        "integrator": settings.integrator,
+        "lightSampling": settings.light_sampling,
+        "directionSampling": settings.direction_sampling,
+        "roulette": settings.roulette,
+        "maxDepth": settings.max_depth,
+        "sensor": settings.sensor,
+        "device": settings.variant,
+        "sceneDigest": job.scene,
+        "renderDigest": job.digest,
+        "secondsRendering": merged.seconds,
     }
     if job.context_digest is not None:
-        attributes["elps:contextDigest"] = job.context_digest
+        attributes["contextDigest"] = job.context_digest
     return attributes | _versions()
 
 
 @cache
 def _versions() -> dict[str, str]:
-    return {f"elps:version:{package}": _version(package) for package in ("elps", "mitsuba", "drjit")}
+    return {f"version:{package}": _version(package) for package in ("elps", "mitsuba", "drjit")}
 
 
 def _version(package: str) -> str:

@@ -26,7 +26,8 @@ START_SECONDS = 60.0
 """Time that a rendering process may take to load Mitsuba on a slow disk before Celery replaces it."""
 STOP_SECONDS = 30.0
 """Time that a worker gets to finish its chunk; a chunk takes 2 to 10 seconds."""
-WITH_PARENT = "--with-parent"
+PARENT = "--parent"
+"""Argument before the id of the process to end with: asked of the system, it would be wrong if that died at once."""
 
 
 def run(settings: FarmSettings) -> int:
@@ -70,7 +71,8 @@ def start_process(settings: FarmSettings) -> subprocess.Popen[bytes]:
     A fresh process, not a fork: what this one has open stays closed there.
     """
     given = {f"ELPS_{key.upper()}": str(value) for key, value in settings.model_dump(exclude_none=True).items()}
-    return subprocess.Popen([sys.executable, "-m", "worker.run", WITH_PARENT], env={**os.environ, **given})  # noqa: S603
+    command = [sys.executable, "-m", "worker.run", PARENT, str(os.getpid())]
+    return subprocess.Popen(command, env={**os.environ, **given})  # noqa: S603
 
 
 def stop_process(worker: subprocess.Popen[bytes]) -> None:
@@ -88,6 +90,6 @@ def _leave_logging(**_: object) -> None:
 
 
 if __name__ == "__main__":
-    if WITH_PARENT in sys.argv[1:]:
-        end_with_parent(os.getppid(), gently=True)
+    if sys.argv[1:2] == [PARENT]:
+        end_with_parent(int(sys.argv[2]), gently=True)
     sys.exit(run(FarmSettings()))

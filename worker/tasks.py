@@ -16,8 +16,8 @@ from celery import Celery, signals
 from elps_core.errors import DeviceUnavailable, ElpsError
 from worker.errors import FarmUnavailable
 from worker.leases import Lease, Work, kept
-from worker.models import Job
 from worker.lifetime import end_with_parent
+from worker.models import Job
 from worker.parts import Parts
 from worker.queue import offer_for
 from worker.settle import Settler
@@ -51,7 +51,10 @@ class Child:
 
     def settle(self, job: str) -> None:
         """Merge what there is of a job and start what comes next."""
-        self._settler.settle(job)
+        try:
+            self._settler.settle(job)
+        except ElpsError as error:  # a full disk, a lost connection: the sweeper has it tried again
+            log.warning("job not settled", job=job, reason=str(error))
 
     def chunk(self, digest: str, index: int) -> None:
         """Render a chunk that jobs with this render digest wait for."""
@@ -70,7 +73,7 @@ class Child:
         state.add_done(digest, [index])
         if self._parts.board.finish(lease):
             for entry in state.of_render(digest):
-                self._settler.settle(entry.job.id)
+                self.settle(entry.job.id)
 
     def context(self, digest: str, done: int) -> None:
         """Take the step after ``done`` of a context that jobs wait for."""
@@ -82,24 +85,24 @@ class Child:
         record = state.context(digest)
         if record is not None and record.state == "ready":
             for entry in state.waiting(digest):
-                self._settler.settle(entry.job.id)
+                self.settle(entry.job.id)
 
     def rebuild(self) -> None:
         """Bring back the jobs that Redis does not know and the store does."""
         newest: dict[str, int] = {}
         for key in self._parts.store.keys("jobs"):
-            _, job, revision = key.split("/")
-            newest[job] = max(newest.get(job, 0), int(revision))
-        for job, revision in newest.items():
-            if self._parts.state.entry(job) is not None:
+            _, id, revision = key.split("/")  # noqa: A001
+            newest[id] = max(newest.get(id, 0), int(revision))
+        for id, last in newest.items():  # noqa: A001
+            if self._parts.state.entry(id) is not None:
                 continue
-            data = self._parts.store.get(f"jobs/{job}/{revision}")
+            data = self._parts.store.get(f"jobs/{id}/{last}")
             if data is None:
                 continue
             entry = JobEntry.model_validate_json(data).model_copy(update={"events": 0})
             self._parts.list_chunks(entry.job.digest)
             self._parts.state.create(entry)
-            self._settler.settle(job)
+            self.settle(id)
 
     def close(self) -> None:
         """Give everything back."""
@@ -185,15 +188,16 @@ class Child:
             state.set_context(record.model_copy(update={"state": "failed", "error": message}))
         for entry in self._waiting(work):
             state.enter(entry.job.id, "failed", message)
-            self._settler.settle(entry.job.id)
+            self.settle(entry.job.id)
 
 
 def register(app: Celery, make_child: Callable[[], Child]) -> None:
-    """Add the tasks to ``app``; ``make_child`` is called once, in the process that runs them."""
+    """Add the tasks to ``app``, in the process that will fork; ``make_child`` is called once in each that runs them."""
     child = cache(make_child)
+    parent = os.getpid()
 
     def prepare(**_: object) -> None:
-        end_with_parent(os.getppid())
+        end_with_parent(parent)
         child().prepare()
 
     signals.worker_process_init.connect(prepare, weak=False)

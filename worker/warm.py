@@ -69,7 +69,7 @@ class Warm:
         from elps_core import device
 
         device.use(variant)
-        import elps_core.io.exr  # noqa: F401
+        import elps_core.io.exr
         import elps_core.renderer  # noqa: F401
 
     def renderer(self, job: Job) -> Renderer:

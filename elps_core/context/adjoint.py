@@ -10,11 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.integrators.bdpt import Bdpt
+from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.emission import Emission, luminance
+from elps_core.scene.sensors import Camera
+from elps_core.settings import ContextSettings
 
 Table = NDArray[np.float64]
+
+STEPS = 8
+"""Batches of a measurement: enough to tell noise from signal, few enough to be cheap to launch."""
+EARLY_SHARE = 0.5
+"""Share of a batch's light paths that follow power, so that what earlier ones missed is found."""
+LANES = 1 << 16
+"""Paths of one pass of a batch."""
+ROULETTE = RouletteRule("albedo", 5)
+STREAM = 0xE1B5
+"""Sets the measurement's random numbers apart from those of renders with the same seed."""
 
 
 def grid(emitters: int, resolution: int) -> tuple[int, int]:
@@ -37,6 +50,37 @@ def start_table(adjoint: NDArray[np.floating[Any]], emission: Emission, epsilon:
     if measured.sum() <= 0.0:
         return power
     return (1.0 - epsilon) * measured / measured.sum() + epsilon * power / max(power.sum(), np.finfo(float).tiny)
+
+
+class AdjointMeasurement:
+    """Measures the adjoint image of one scene and sensor in :data:`STEPS` equal batches.
+
+    Each batch starts its light paths by what the ones before have found; the scatter between
+    batches tells how much of the image is noise.
+    """
+
+    def __init__(self, scene: mi.Scene, camera: Camera, emission: Emission, settings: ContextSettings) -> None:
+        self.scene, self.camera, self.emission, self.settings = scene, camera, emission, settings
+        self.rows, self.columns = grid(emission.count, settings.resolution)
+        self.batches: Table = np.zeros((0, self.rows, self.columns))
+        """Unbiased estimates of the image, [steps taken, rows, columns]."""
+
+    def step(self) -> None:
+        """Measure one more batch."""
+        number = len(self.batches)
+        guide = start_table(self.image(), self.emission, max(self.settings.epsilon, EARLY_SHARE))
+        lights = StartDensity(self.emission, guide)
+        bdpt = Bdpt(self.scene, self.camera, lights, max_depth=self.settings.max_depth, roulette=ROULETTE)
+        wanted = max(1, self.settings.samples_per_cell * self.rows * self.columns // STEPS)
+        passes = -(-wanted // LANES)
+        batch = np.zeros((self.rows, self.columns))
+        for part in range(passes):
+            batch += measure(bdpt, -(-wanted // passes), (self.settings.seed, STREAM, number, part))
+        self.batches = np.concatenate([self.batches, batch[None] / passes])
+
+    def image(self) -> Table:
+        """The best estimate of the adjoint image so far, [rows, columns]; zeros before the first step."""
+        return shrunk(self.batches, self.emission.count) if len(self.batches) else np.zeros((self.rows, self.columns))
 
 
 def measure(bdpt: Bdpt, lanes: int, key: tuple[int, ...]) -> Table:

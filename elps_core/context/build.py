@@ -5,16 +5,13 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from elps_core.context import adjoint
+from elps_core.context.adjoint import AdjointMeasurement
 from elps_core.context.store import GlobalContext
 from elps_core.errors import ContextMismatch
-from elps_core.integrators.bdpt import Bdpt
-from elps_core.integrators.frame import MAX_LANES
-from elps_core.paths.roulette import RouletteRule
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.digest import context_digest
 from elps_core.scene.emission import Emission
@@ -22,61 +19,33 @@ from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.settings import ContextSettings
 
-STEPS = 8
-"""Batches of a pass. Each starts its light paths by what the ones before have measured; their
-scatter tells how much of the image is noise."""
-ROULETTE = RouletteRule("albedo", 5)
-STREAM = 0xE1B5
-"""Key that sets the pass's random numbers apart from those of renders with the same seed."""
-
-
 class ContextBuilder:
-    """Builds the global context of one scene and sensor in :data:`STEPS` short steps.
+    """Builds the global context of one scene and sensor in a few short steps.
 
     A step takes well under ten seconds. Between steps the state can be saved with
     :meth:`to_bytes` and taken up elsewhere with :meth:`restore`.
     """
 
-    steps = STEPS
+    steps = adjoint.STEPS
 
     def __init__(self, scene: LoadedScene, settings: ContextSettings) -> None:
         self._scene = scene
         self._settings = settings
-        self._camera = Camera(scene.sensor)
-        self._emission = Emission(scene.scene)
-        self._grid = adjoint.grid(self._emission.count, settings.resolution)
-        self._batches: NDArray[np.float64] = np.zeros((0, *self._grid))
+        self._adjoint = AdjointMeasurement(scene.scene, Camera(scene.sensor), Emission(scene.scene), settings)
         self._seconds = 0.0
         self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings)
 
     @property
     def done(self) -> int:
         """Steps taken."""
-        return len(self._batches)
+        return len(self._adjoint.batches)
 
     def step(self) -> None:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`."""
-        if self.done >= self.steps:
-            return
-        begin = time.perf_counter()
-        rows, columns = self._grid
-        wanted = max(1, self._settings.samples_per_cell * rows * columns // self.steps)
-        image = np.zeros(self._grid) if not self.done else adjoint.shrunk(self._batches, self._emission.count)
-        density = StartDensity(self._emission, adjoint.start_table(image, self._emission, self._guide_share()))
-        bdpt = Bdpt(
-            self._scene.scene, self._camera, density, max_depth=self._settings.max_depth, roulette=ROULETTE
-        )
-        passes = -(-wanted // (MAX_LANES // 4))
-        lanes = -(-wanted // passes)
-        batch = np.zeros(self._grid)
-        for number in range(passes):
-            batch += adjoint.measure(bdpt, lanes, (self._settings.seed, STREAM, self.done, number))
-        self._batches = np.concatenate([self._batches, batch[None] / passes])
-        self._seconds += time.perf_counter() - begin
-
-    def _guide_share(self) -> float:
-        # Half of the early paths still follow power: what the first batches missed must be found.
-        return max(self._settings.epsilon, 0.5)
+        if self.done < self.steps:
+            begin = time.perf_counter()
+            self._adjoint.step()
+            self._seconds += time.perf_counter() - begin
 
     def result(self) -> GlobalContext:
         """The context, once all steps are taken.
@@ -86,32 +55,30 @@ class ContextBuilder:
         """
         if self.done < self.steps:
             raise RuntimeError("the context is not finished: take the steps that are left")
-        image = adjoint.shrunk(self._batches, self._emission.count)
-        rows, columns = self._grid
-        scatter = self._batches.sum(axis=(1, 2))
+        measured = self._adjoint
+        flux = measured.batches.sum(axis=(1, 2))
         statistics = {
             "seconds": round(self._seconds, 3),
-            "paths": int(self._settings.samples_per_cell * rows * columns),
-            "emitters": self._emission.count,
-            "rows": rows,
-            "columns": columns,
-            "flux": float(scatter.mean()),
-            "flux_standard_error": float(scatter.std(ddof=1) / np.sqrt(len(scatter))),
+            "paths": int(self._settings.samples_per_cell * measured.rows * measured.columns),
+            "emitters": measured.emission.count,
+            "rows": measured.rows,
+            "columns": measured.columns,
+            "flux": float(flux.mean()),
+            "flux_standard_error": float(flux.std(ddof=1) / np.sqrt(len(flux))),
         }
         return GlobalContext(
             digest=self.digest,
             scene=self._scene.digest,
             sensor=self._scene.sensor_index,
             settings=self._settings,
-            adjoint=image.astype(np.float32),
-            emitters=self._emission.keys,
+            adjoint=measured.image().astype(np.float32),
+            emitters=measured.emission.keys,
             statistics=statistics,
         )
 
     def to_bytes(self) -> bytes:
         """The state after the steps taken, as one safetensors record."""
-        facts = np.array([self._seconds], np.float64)
-        return save_tensors({"batches": self._batches, "seconds": facts}, metadata={"digest": self.digest})
+        return save_tensors({"batches": self._adjoint.batches, "seconds": np.array([self._seconds])})
 
     def restore(self, data: bytes) -> None:
         """Take up a state that :meth:`to_bytes` saved, in this process or another.
@@ -121,9 +88,10 @@ class ContextBuilder:
         """
         record = load_tensors(data)
         batches = record["batches"]
-        if batches.ndim != 3 or batches.shape[1:] != self._grid or len(batches) > self.steps:
-            raise ContextMismatch("the saved state of the context does not fit: it is measured again")
-        self._batches, self._seconds = batches, float(record["seconds"][0])
+        grid = (self._adjoint.rows, self._adjoint.columns)
+        if batches.ndim != 3 or batches.shape[1:] != grid or len(batches) > self.steps:
+            raise ContextMismatch("the saved state of the context does not fit: measure it again")
+        self._adjoint.batches, self._seconds = batches, float(record["seconds"][0])
 
 
 def start_density(context: GlobalContext, emission: Emission) -> StartDensity:

@@ -127,7 +127,7 @@ class Bdpt:
                 joined = connect.connect_vertices(self.scene, vertex, light, context, light_context, more)
                 if deposit:
                     deposit(cell, joined, ray.wavelengths, more)
-                return slot + 1, total + joined, more & (slot < count)
+                return slot + 1, total + joined, more & (slot + 1 < count)
 
             start_state = (dr.zeros(mi.UInt32, lanes), radiance, smooth & (count > 0))
             _, radiance, _ = dr.while_loop(start_state, lambda _s, _t, more: more, join, label="elps connect")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from elps_core import device
 from elps_core.errors import SceneRejected
-from elps_core.scene import headers, markup, measure, plugins, rules
+from elps_core.scene import headers, markup, measure, meshes, plugins, rules
 from elps_core.scene.bundle import is_archive, open_regular, root_xml, unpack
 from elps_core.scene.digest import file_hash, scene_digest
 from elps_core.scene.markup import Node
@@ -186,7 +186,7 @@ def _check_file(kind: str, path: Path, owner: Node, bundle: Path) -> tuple[int, 
     with open_regular(path) as file:
         try:
             needed = headers.check(kind, file, str(path))
-        except headers.BadFileError as error:
+        except meshes.BadFileError as error:
             raise SceneRejected(f"{owner}: '{shown(path.relative_to(bundle).as_posix())}' {error}") from None
         file.seek(0)
         return needed, file_hash(file)
@@ -235,6 +235,9 @@ def _resize(sensor: Node, objects: list[Node], size: tuple[int, int]) -> None:
 def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> mi.Scene:
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
+    # Mitsuba 3.9 leaves a merged mesh of rectangles without a bounding box, and the scene with it; shapes
+    # also keep their ids this way.
+    config.merge_meshes = False
     level = mi_.log_level()
     # Mitsuba's warnings name files of the host.
     mi_.set_log_level(mi_.LogLevel.Error)
@@ -284,7 +287,7 @@ def _explain(raw: str, canonical: CanonicalScene) -> str:
     if not 1 <= line <= len(canonical.nodes):
         return "Mitsuba cannot make this scene: check it with Mitsuba's own viewer"
     node = canonical.nodes[line - 1]
-    for child in node.children:
+    for child in (node, *node.children):
         if child.attributes.get("name") == "filename" or "filename" in child.attributes:
             name = child.attributes.get("filename") or child.attributes.get("value", "")
             return f"{node}: Mitsuba cannot read the file '{shown(name)}': it is damaged, cut off or of another kind"

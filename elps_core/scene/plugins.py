@@ -86,9 +86,7 @@ PLUGINS: dict[str, frozenset[str]] = {
             "cube",
             "cylinder",
             "disk",
-            "ellipsoids",
-            "ellipsoidsmesh",
-            "instance",
+                                    "instance",
             "linearcurve",
             "obj",
             "ply",
@@ -106,14 +104,13 @@ PLUGINS: dict[str, frozenset[str]] = {
 """Element -> plugins of Mitsuba 3.9 that it may name.
 
 Left out on purpose: ``blender`` takes raw memory addresses; ``merge`` is Mitsuba's own doing;
-``measured`` and ``measured_polarized`` map a binary file without checking it.
+``measured`` and ``measured_polarized`` map a binary file without checking it; ``ellipsoids`` and
+``ellipsoidsmesh`` serve radiance fields, and a file of the wrong layout crashes them.
 """
 
 FILE_READERS: dict[tuple[str, str], str] = {
     ("shape", "obj"): "obj",
     ("shape", "ply"): "ply",
-    ("shape", "ellipsoids"): "ply",
-    ("shape", "ellipsoidsmesh"): "ply",
     ("shape", "serialized"): "serialized",
     ("shape", "bsplinecurve"): "text",
     ("shape", "linearcurve"): "text",

@@ -268,7 +268,16 @@ def test_overlapping_entries_are_refused(tmp_path: Path, reject: Reject) -> None
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"PK", b"PK\x03\x04", b"PK\x03\x04" + bytes(1000), b"PK\x05\x06" + bytes(18), b"\x7fELF", b"hello", bytes(100)],
+    [
+        b"",
+        b"PK",
+        b"PK\x03\x04",
+        b"PK\x03\x04" + bytes(1000),
+        b"PK\x05\x06" + bytes(18),
+        b"\x7fELF",
+        b"hello",
+        bytes(100),
+    ],
 )
 def test_garbage_is_refused(content: bytes, tmp_path: Path, reject: Reject) -> None:
     (tmp_path / "a.zip").write_bytes(content)

@@ -1,0 +1,1 @@
+"""Commands that need no server. Mitsuba is loaded when one runs, not before."""

@@ -1,0 +1,101 @@
+"""Our integrators as Mitsuba plugins, so that ``mi.render`` and scene files can name them.
+
+====================  =========  =====================================================================
+property              default    meaning
+====================  =========  =====================================================================
+``max_depth``         16         longest path in segments, as in Mitsuba; 1 is visible emission only
+``rr_depth``          5          depth from which on Russian roulette may end a walk
+``roulette``          albedo     ``albedo``, ``throughput`` or ``none``
+``light_sampling``    power      ``uniform``, ``power`` or ``adjoint`` (measures the scene when first used)
+====================  =========  =====================================================================
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from pydantic import ValidationError
+
+from elps_core.context import adjoint
+from elps_core.errors import SettingsRejected
+from elps_core.integrators.bdpt import Bdpt
+from elps_core.integrators.frame import FrameRenderer
+from elps_core.paths.roulette import RouletteRule
+from elps_core.sampling.start import StartDensity, power_table, uniform_table
+from elps_core.scene.emission import Emission
+from elps_core.scene.sensors import Camera
+from elps_core.settings import ContextSettings, RenderSettings, first_problem
+
+_registered: set[str] = set()
+
+
+def register() -> None:
+    """Register ``elps_bdpt`` with the current variant; again for each variant, harmless twice."""
+    variant = mi.variant()
+    if variant not in _registered:
+        _registered.add(variant)
+        mi.register_integrator("elps_bdpt", _integrator_class())
+
+
+def _integrator_class() -> Any:
+    """The plugin's class: made here because its base exists once a variant is set."""
+
+    class BdptIntegrator(mi.CppADIntegrator):  # type: ignore[misc, name-defined]
+        """Bidirectional path tracing; see the module's text for its properties."""
+
+        def __init__(self, properties: mi.Properties) -> None:
+            super().__init__(properties)
+            try:
+                self.settings = RenderSettings(
+                    integrator="bdpt",
+                    light_sampling=properties.get("light_sampling", "power"),
+                    roulette=properties.get("roulette", "albedo"),
+                    max_depth=properties.get("max_depth", 16),
+                    rr_depth=properties.get("rr_depth", 5),
+                )
+            except ValidationError as error:
+                raise SettingsRejected(first_problem(error)) from None
+            self._scene: mi.Scene | None = None
+            self._sensor: mi.Sensor | None = None
+            self._frames: FrameRenderer | None = None
+
+        def render(
+            self,
+            scene: mi.Scene,
+            sensor: int | mi.Sensor = 0,
+            seed: int = 0,
+            spp: int = 0,
+            develop: bool = True,
+            evaluate: bool = True,
+        ) -> mi.TensorXf:
+            """Render ``spp`` samples per pixel; returns linear RGB [height, width, 3]."""
+            chosen = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            count = spp or chosen.sampler().sample_count()
+            frame = self._renderer(scene, chosen).render(count, (int(np.array(mi.UInt32(seed))[0]),))
+            return frame.image
+
+        def _renderer(self, scene: mi.Scene, sensor: mi.Sensor) -> FrameRenderer:
+            if self._frames is None or self._scene is not scene or self._sensor is not sensor:
+                self._scene, self._sensor = scene, sensor
+                self._frames = FrameRenderer(_bdpt(scene, sensor, self.settings), sensor.film())
+            return self._frames
+
+        def to_string(self) -> str:
+            return f"elps_bdpt[light_sampling={self.settings.light_sampling}, max_depth={self.settings.max_depth}]"
+
+    return BdptIntegrator
+
+
+def _bdpt(scene: mi.Scene, sensor: mi.Sensor, settings: RenderSettings) -> Bdpt:
+    camera, emission = Camera(sensor), Emission(scene)
+    rule = RouletteRule(settings.roulette, settings.rr_depth)
+    table = uniform_table(emission) if settings.light_sampling == "uniform" else power_table(emission)
+    if settings.light_sampling == "adjoint":
+        options = ContextSettings(max_depth=max(2, settings.max_depth))
+        measurement = adjoint.AdjointMeasurement(scene, camera, emission, options)
+        for _ in range(adjoint.STEPS):
+            measurement.step()
+        table = adjoint.start_table(measurement.image(), emission, options.epsilon)
+    return Bdpt(scene, camera, StartDensity(emission, table), max_depth=settings.max_depth, roulette=rule)

@@ -1,0 +1,75 @@
+"""The file that a render ends in: image, its standard error, and where they come from."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+from elps_core.estimate.film import Accumulation
+from elps_core.io.exr import Attribute, write_exr
+from elps_core.settings import RenderSettings
+
+IMAGE_PART = "image"
+ERROR_PART = "standard error"
+
+
+def write_result(
+    path: Path,
+    merged: Accumulation,
+    settings: RenderSettings,
+    *,
+    scene: str,
+    render: str,
+    context: str | None,
+) -> None:
+    """Write a multi-part EXR: ``image``, the mean in linear RGB, and its ``standard error`` per pixel.
+
+    ``scene``, ``render`` and ``context`` are digests. The attributes are enough to make the image
+    again: settings, seed, digests, chunks, samples, versions.
+
+    Raises:
+        ImageUnwritable: nothing was written.
+    """
+    attributes: dict[str, Attribute] = {
+        "samples": merged.spp,
+        "chunks": ranges(merged.chunks),
+        "seed": settings.seed,
+        "integrator": settings.integrator,
+        "lightSampling": settings.light_sampling,
+        "directionSampling": settings.direction_sampling,
+        "roulette": settings.roulette,
+        "maxDepth": settings.max_depth,
+        "sensor": settings.sensor,
+        "device": settings.variant,
+        "sceneDigest": scene,
+        "renderDigest": render,
+        "secondsRendering": merged.seconds,
+        **_versions(),
+    }
+    if context is not None:
+        attributes["contextDigest"] = context
+    write_exr(path, {IMAGE_PART: merged.mean(), ERROR_PART: merged.standard_error()}, attributes)
+
+
+def ranges(indices: set[int] | frozenset[int]) -> str:
+    """Whole numbers as ranges, such as ``0-3,5``."""
+    parts: list[list[int]] = []
+    for index in sorted(indices):
+        if parts and index == parts[-1][1] + 1:
+            parts[-1][1] = index
+        else:
+            parts.append([index, index])
+    return ",".join(str(low) if low == high else f"{low}-{high}" for low, high in parts)
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {f"version:{package}": _version(package) for package in ("elps", "mitsuba", "drjit")}
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:  # run from a source tree that is not installed
+        return "unknown"

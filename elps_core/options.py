@@ -1,0 +1,76 @@
+"""Options that the commands share, and how their words become settings. Imports no Mitsuba."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from pydantic import ValidationError
+
+from elps_core.errors import SettingsRejected
+from elps_core.settings import RenderSettings, StopCriterion, first_problem, with_overrides
+
+Scene = Annotated[Path, typer.Argument(metavar="SCENE", help="An .xml, a .zip or a folder.")]
+Integrator = Annotated[str | None, typer.Option(help="bdpt, or mi_path and other integrators of Mitsuba.")]
+LightSampling = Annotated[str | None, typer.Option(help="uniform, power or adjoint.")]
+DirectionSampling = Annotated[str | None, typer.Option(help="scattering or context.")]
+Roulette = Annotated[str | None, typer.Option(help="throughput, albedo, context or none.")]
+Spp = Annotated[int | None, typer.Option(help="Stop after this many samples per pixel.")]
+Seconds = Annotated[float | None, typer.Option(help="Stop after this time, everything counted.")]
+Error = Annotated[float | None, typer.Option(help="Stop at this relative error.")]
+Size = Annotated[str | None, typer.Option(metavar="WxH", help="Size in pixels; the scene's own if absent.")]
+MaxDepth = Annotated[int | None, typer.Option(help="Longest path in segments.")]
+Sensor = Annotated[int | None, typer.Option(help="Which camera, from 0.")]
+Seed = Annotated[int | None, typer.Option(help="Random stream.")]
+Variant = Annotated[str | None, typer.Option(help="Mitsuba variant.")]
+Assignments = Annotated[list[str] | None, typer.Option("--set", metavar="A.B=VALUE", help="Any setting by name.")]
+
+
+def size_from(text: str) -> tuple[int, int]:
+    """(width, height) from ``640x480``.
+
+    Raises:
+        SettingsRejected: anything else.
+    """
+    width, separator, height = text.lower().partition("x")
+    # Ten digits are more than any film has, and few enough for int() to read at once.
+    digits = all(part.isascii() and part.isdecimal() and len(part) <= 10 for part in (width, height))
+    if not (separator and digits and int(width) and int(height)):
+        raise SettingsRejected("give the size as WxH, for example 640x480")
+    return int(width), int(height)
+
+
+def settings_from(given: dict[str, Any], size: str | None, assignments: list[str] | None) -> RenderSettings:
+    """Settings from options (None: not given), ``--size`` and ``--set name=value``; the last wins.
+
+    Raises:
+        SettingsRejected: an unknown name, a refused value, or something not built yet.
+    """
+    values = {name: value for name, value in given.items() if value is not None}
+    if size is not None:
+        values["width"], values["height"] = size_from(size)
+    for assignment in assignments or []:
+        name, separator, text = assignment.partition("=")
+        if not separator:
+            raise SettingsRejected("give --set as NAME=VALUE, for example context.resolution=32")
+        try:
+            values[name] = json.loads(text)
+        except ValueError:
+            values[name] = text
+    return with_overrides(RenderSettings(), values)
+
+
+def stop_from(spp: int | None, seconds: float | None, error: float | None) -> StopCriterion:
+    """When to stop, from ``--spp``, ``--seconds`` and ``--error``.
+
+    Raises:
+        SettingsRejected: none is given, or one is out of range.
+    """
+    if spp is None and seconds is None and error is None:
+        raise SettingsRejected("say when to stop: --spp, --seconds or --error")
+    try:
+        return StopCriterion(samples=spp, seconds=seconds, error=error)
+    except ValidationError as problem:
+        raise SettingsRejected(first_problem(problem)) from None
