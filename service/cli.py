@@ -102,7 +102,7 @@ def watch(
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the partial images and the figure.")] = Path("demo-out"),
-    seconds: Annotated[float, typer.Option(min=1.0, help="Time for each of the two renders.")] = 40.0,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Time for each of the two renders.")] = 35.0,
 ) -> None:
     """Render a maze twice, with and without knowledge of where useful light starts, and compare."""
     from service.demo import demo as run

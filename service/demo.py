@@ -33,7 +33,7 @@ STOP_SECONDS = 40.0
 """Time for the service to end; longer than it gives its workers."""
 LEGEND_SIZE = (256, 16)
 """Width and height of the colour scale, pixels."""
-TITLES = {"power": "light starts by power", "adjoint": "light starts by adjoint image"}
+TITLES = {"power": "light sampling by power", "adjoint": "light sampling by adjoint image"}
 
 
 class Result(NamedTuple):
@@ -73,8 +73,12 @@ def demo(out: Path, seconds: float) -> None:
     verdict = _verdict(power, adjoint)
     figure = out / "comparison.png"
     _draw(figure, power, adjoint, map_of_lights, verdict)
-    console.print(verdict, highlight=False)
-    console.print(f"see {figure} and the partial images in {partials}", highlight=False)
+    for result in (power, adjoint):
+        title = TITLES[result.job.settings.light_sampling]
+        error = f"relative error {result.job.relative_error:.2%}"
+        console.print(f"{title}: {error} after {result.seconds:.1f} s", highlight=False, soft_wrap=True)
+    console.print(f"{verdict} (1 / (relative error^2 * seconds))", highlight=False, soft_wrap=True)
+    console.print(f"see {figure} and the partial images in {partials}", highlight=False, markup=False, soft_wrap=True)
 
 
 def _maze(folder: Path) -> Path:
@@ -143,8 +147,8 @@ def _render(
 
 def _verdict(power: Result, adjoint: Result) -> str:
     better, worse = sorted((power, adjoint), key=lambda result: result.cost)
-    name = TITLES[better.job.settings.light_sampling]
-    return f"{name} won: {worse.cost / better.cost:.1f} times as efficient (1 / (relative error^2 * seconds))"
+    winner, loser = (result.job.settings.light_sampling for result in (better, worse))
+    return f"Light sampling by {winner} won: {worse.cost / better.cost:.1f} times as efficient as by {loser}"
 
 
 def _draw(path: Path, power: Result, adjoint: Result, map_of_lights: bytes, verdict: str) -> None:
@@ -158,9 +162,9 @@ def _draw(path: Path, power: Result, adjoint: Result, map_of_lights: bytes, verd
             legend,
         ],
     ]
-    context = f"the adjoint image took {adjoint.job.seconds_context:.1f} s of it"
-    subtitle = f"a maze, bidirectional path tracing, the same {power.seconds:.0f} s for each: {context}"
-    save_figure(path, verdict[0].upper() + verdict[1:].partition(" (")[0], subtitle, rows)
+    context = f"measuring the adjoint image took {adjoint.job.seconds_context:.0f} s of the second"
+    subtitle = f"a maze, bidirectional path tracing, {power.seconds:.0f} s and {adjoint.seconds:.0f} s; {context}"
+    save_figure(path, verdict, subtitle, rows)
 
 
 def _numbers(result: Result) -> str:

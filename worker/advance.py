@@ -62,17 +62,30 @@ def decide(
     known = done | in_flight | frozenset(entry.merged)
     room = window - len(in_flight)
     wanted: list[int] = []
+    late = False
     spp = 0
     for index in count():
         if (job.stop.samples is not None and spp >= job.stop.samples) or len(wanted) >= room:
             break
         spp += chunk_spp(index)
         if index not in known:
+            late = not worth_starting(entry, chunk_spp(index), now)
+            if late:
+                break
             wanted.append(index)
-    if entry.merged and not _worth_starting(entry, now):
-        # What is in flight now was started in time and is waited for, then the job is finished.
-        return Decision(finish=not in_flight)
-    return Decision(start=tuple(wanted))
+    # What is in flight was started in time and is waited for.
+    return Decision(start=tuple(wanted), finish=late and not wanted and not in_flight)
+
+
+def worth_starting(entry: JobEntry, spp: int, now: float) -> bool:
+    """Whether half of a chunk of ``spp`` samples or more fits into the job's time: jobs end on time on average.
+
+    The first chunk always does: a job that ends has an image.
+    """
+    job = entry.job
+    if not entry.merged or job.stop.seconds is None or job.started is None:
+        return True
+    return now + entry.sample_seconds * spp / 2 <= job.started + job.stop.seconds
 
 
 def mergeable(entry: JobEntry, done: Iterable[int], chunk_spp: ChunkSpp) -> list[int]:
@@ -148,11 +161,3 @@ def _reached(job: Job, now: float) -> bool:
 def _planned(job: Job, merged: tuple[int, ...], chunk_spp: ChunkSpp) -> bool:
     """Whether the merged chunks are all that the limit on samples asks for."""
     return job.stop.samples is not None and sum(chunk_spp(index) for index in merged) >= job.stop.samples
-
-
-def _worth_starting(entry: JobEntry, now: float) -> bool:
-    """Whether at least half of another chunk fits into the time left, so that jobs end on time on average."""
-    job = entry.job
-    if job.stop.seconds is None or job.started is None:
-        return True
-    return now + entry.chunk_seconds / 2 <= job.started + job.stop.seconds

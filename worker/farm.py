@@ -48,6 +48,8 @@ class Image:
     key: str
     """Content-addressed name: equal keys mean equal bytes (a strong entity tag)."""
     data: bytes
+    samples: int
+    """Samples per pixel in it; the job may have more by now."""
 
 
 @contextmanager
@@ -211,7 +213,7 @@ class Farm:
         if entry is None or entry.image_key is None:
             return None
         data = self._parts.store.get(entry.image_key)
-        return None if data is None else Image(entry.job.image_revision, entry.image_key, data)
+        return None if data is None else Image(entry.job.image_revision, entry.image_key, data, entry.image_samples)
 
     def pixels(self, id: str) -> tuple[int, NDArray[np.float32], NDArray[np.float32]] | None:  # noqa: A002
         """(revision, mean [H, W, C], standard error [H, W, C]) of the newest published image, linear."""

@@ -8,10 +8,12 @@ import socket
 import subprocess
 import sys
 import time
+import warnings
 from typing import get_args
 
 import structlog
 from celery import signals
+from celery.exceptions import SecurityWarning
 
 from elps_core.settings import Variant
 from worker.lifetime import end_with_parent
@@ -36,6 +38,8 @@ def run(settings: FarmSettings) -> int:
     Raises:
         SettingsRejected: a URL is absent or malformed.
     """
+    # Celery warns that a worker of root's could be made to unpickle things: ours takes JSON only.
+    warnings.filterwarnings("ignore", category=SecurityWarning)
     structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
     parts = Parts(settings)
     name = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}"

@@ -13,7 +13,7 @@ import structlog
 
 from elps_core.estimate.film import Accumulation, Chunk
 from elps_core.estimate.schedule import chunk_spp
-from worker.advance import Decision, decide, eta_seconds, mergeable, publish_due
+from worker.advance import ChunkSpp, Decision, decide, eta_seconds, mergeable, publish_due
 from worker.leases import Work
 from worker.models import FINAL_STATES, ContextRecord, ContextState, Job, JobState
 from worker.parts import Parts
@@ -28,6 +28,11 @@ _PROGRESS = ("samples_done", "chunks_done", "relative_error", "seconds_rendering
 """Fields of a job that its progress events carry."""
 
 
+def schedule(job: Job) -> ChunkSpp:
+    """Samples per pixel of each chunk of a job."""
+    return lambda index: chunk_spp(index, job.settings, (job.width, job.height))
+
+
 class _Merged(NamedTuple):
     """What is known of a merged image."""
 
@@ -35,8 +40,8 @@ class _Merged(NamedTuple):
     samples: int
     seconds: float
     """Sum over its chunks."""
-    chunk_seconds: float
-    """Of the chunk merged last."""
+    sample_seconds: float
+    """Per sample per pixel, of the chunk merged last."""
     error: float | None
 
 
@@ -63,19 +68,16 @@ class Settler:
         entry = self._parts.state.entry(id)
         if entry is None or entry.job.state == "completed":
             return
-        job = entry.job
-
-        def spp(index: int) -> int:
-            return chunk_spp(index, job.settings, (job.width, job.height))
-
-        state = self._parts.state
+        job, state = entry.job, self._parts.state
+        spp = schedule(job)
+        # In this order: a chunk that is finished meanwhile is seen twice rather than not at all.
+        in_flight = frozenset(
+            work.number for work in self._parts.board.in_flight() if work[:2] == ("chunk", job.digest)
+        )
         done = state.done(job.digest)
         image, facts = self._merge(entry, mergeable(entry, done, spp))
         now = time.time()
         entry = _counted(entry, facts, now)
-        in_flight = frozenset(
-            work.number for work in self._parts.board.in_flight() if work[:2] == ("chunk", job.digest)
-        )
         context = self._context(job)
         window = sum(job.settings.variant in worker.variants for worker in state.workers()) + 1
         decision = decide(entry, context, done, in_flight, window, now, spp)
@@ -95,7 +97,7 @@ class Settler:
         """The merged image with ``new`` chunks in it."""
         job = entry.job
         merged = self._warm.accumulation(job)
-        seconds = entry.chunk_seconds
+        seconds = entry.sample_seconds
         for index in sorted({*entry.merged, *new} - merged.chunks):
             data = self._parts.store.get(chunk_key(job.digest, index))
             if data is None:
@@ -104,7 +106,7 @@ class Settler:
                 continue
             chunk = Chunk.from_bytes(data)
             merged.add(chunk)
-            seconds = chunk.seconds
+            seconds = chunk.seconds / chunk.spp
         error = entry.job.relative_error if merged.chunks == set(entry.merged) else merged.relative_error()
         return merged, _Merged(tuple(sorted(merged.chunks)), merged.spp, merged.seconds, seconds, error)
 
@@ -141,7 +143,7 @@ def _counted(entry: JobEntry, merged: _Merged, now: float) -> JobEntry:
     if not set(merged.chunks) > set(entry.merged):
         return entry
     entry = update(
-        entry.model_copy(update={"merged": merged.chunks, "chunk_seconds": merged.chunk_seconds}),
+        entry.model_copy(update={"merged": merged.chunks, "sample_seconds": merged.sample_seconds}),
         samples_done=merged.samples,
         chunks_done=len(merged.chunks),
         relative_error=merged.error,

@@ -65,8 +65,8 @@ class JobEntry(BaseModel):
     """Number of the last event."""
     merged: tuple[int, ...] = ()
     """Chunk indices that the numbers of the job count, ascending."""
-    chunk_seconds: float = 0.0
-    """Seconds that the last merged chunk took."""
+    sample_seconds: float = 0.0
+    """Seconds per sample per pixel that the last merged chunk took."""
     image_key: str | None = None
     image_samples: int = 0
     image_time: float = 0.0

@@ -14,13 +14,14 @@ import structlog
 from celery import Celery, signals
 
 from elps_core.errors import DeviceUnavailable, ElpsError
+from worker.advance import worth_starting
 from worker.errors import FarmUnavailable
 from worker.leases import Lease, Work, kept
 from worker.lifetime import end_with_parent
 from worker.models import Job
 from worker.parts import Parts
 from worker.queue import offer_for
-from worker.settle import Settler
+from worker.settle import Settler, schedule
 from worker.state import JobEntry, missing_context
 from worker.store import chunk_key, name
 from worker.warm import Warm, checkpoint_key
@@ -146,8 +147,10 @@ class Child:
         if lease is None:
             return None  # done by now, or with another worker
         waiting = self._waiting(work)
-        if not waiting:
+        if not waiting or (work.kind == "chunk" and not any(_in_time(entry, work.number) for entry in waiting)):
             self._parts.board.finish(lease)
+            for entry in waiting:
+                self.settle(entry.job.id)
             return None
         if lease.attempts > MAX_ATTEMPTS:  # each time the process died, so that nothing was raised
             self._give_up(lease, GIVEN_UP)
@@ -189,6 +192,10 @@ class Child:
         for entry in self._waiting(work):
             state.enter(entry.job.id, "failed", message)
             self.settle(entry.job.id)
+
+
+def _in_time(entry: JobEntry, index: int) -> bool:
+    return worth_starting(entry, schedule(entry.job)(index), time.time())
 
 
 def register(app: Celery, make_child: Callable[[], Child]) -> None:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 RESERVE = 0.95
 """Share of the time left that the last chunk is sized for: rates vary by a few percent."""
+MIN_CHUNKS = 4
+"""Chunks that a render has at least: with fewer, the scatter of its error estimate is as large as itself."""
 
 
 def render(
@@ -159,7 +161,7 @@ def _counts(renderer: Renderer, stop: StopCriterion, begin: float, merged: Accum
     while True:
         count = renderer.chunk_spp(index)
         if stop.samples is not None:
-            count = min(count, stop.samples - merged.spp)
+            count = min(count, -(-stop.samples // MIN_CHUNKS), stop.samples - merged.spp)
         if stop.seconds is not None and merged.spp:
             left = begin + stop.seconds - time.perf_counter()
             count = min(count, int(RESERVE * left * merged.spp / merged.seconds))
@@ -171,10 +173,6 @@ def _counts(renderer: Renderer, stop: StopCriterion, begin: float, merged: Accum
             return
         yield count
         index += 1
-
-
-MIN_CHUNKS = 4
-"""Chunks before an error estimate is believed: with fewer, its own scatter is as large as itself."""
 
 
 def _share(stop: StopCriterion, merged: Accumulation, begin: float) -> float:

@@ -66,6 +66,7 @@ def read_exr(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Attr
     """
     source = oiio.ImageInput.open(str(path))
     if source is None:
+        oiio.geterror()  # Taken and dropped: it names the path.
         raise ElpsError("the file is not a readable image")
     try:
         parts: dict[str, NDArray[np.float32]] = {}

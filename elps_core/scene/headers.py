@@ -17,6 +17,8 @@ from elps_core.scene.meshes import BadFileError, file_size
 
 MAX_IMAGE_SIDE = 16384
 """Pixels; the largest textures in use (16k)."""
+MAX_CHANNELS = 64
+"""Of one image; layers of a multi-channel EXR count."""
 MAX_HEADER_BYTES = 64 * 1024
 """What is read of a text file to tell whether it is one."""
 MAX_OBJ_LINE = 1024
@@ -97,12 +99,19 @@ def _image(file: BinaryIO, path: str) -> int:
         spec = image.spec()
         if image.format_name() != expected:
             raise BadFileError("is an image whose content does not match its extension: rename it")
-        width, height, channels = int(spec.width), int(spec.height), int(spec.nchannels)
+        width, height = int(spec.width), int(spec.height)
+        if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
+            raise BadFileError(f"has {width}x{height} pixels: at most {MAX_IMAGE_SIDE} a side are allowed")
+        if spec.nchannels > MAX_CHANNELS:
+            raise BadFileError(f"has {spec.nchannels} channels: at most {MAX_CHANNELS} are allowed")
+        # Mitsuba reads EXR data in a thread of its own, where an error ends the whole process.
+        if expected == "openexr" and image.read_image("half") is None:
+            image.geterror()
+            raise BadFileError("is an EXR image that is cut off or damaged")
+        # Mitsuba keeps images of 8 bits in half precision, others in single.
+        return width * height * int(spec.nchannels) * (2 if spec.format.size() == 1 else 4)
     finally:
         image.close()
-    if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
-        raise BadFileError(f"has {width}x{height} pixels: at most {MAX_IMAGE_SIDE} a side are allowed")
-    return width * height * max(channels, 1) * 4
 
 
 _CHECKS: dict[str, Callable[[BinaryIO, str], int]] = {

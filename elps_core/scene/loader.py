@@ -29,7 +29,11 @@ if TYPE_CHECKING:
 
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
-_SENSOR_ID = "elps_sensor_{}"
+_EXPECTED = {
+    "emitter": "the scene has no emitters: the image will be black",
+    "shape": "the scene has no shapes: there is nothing to see",
+}
+"""Element -> the warning where a scene has none."""
 _LOCATION = re.compile(r"\(line (\d{1,9}), col \d+\)")
 
 
@@ -45,7 +49,7 @@ class CanonicalScene:
     root: Node
     """The tree of ``text``. The scene's integrator is left out: settings decide."""
     sensors: tuple[Node, ...]
-    """Cameras in the order of the scene file; each has an id."""
+    """Cameras in the order of the scene file."""
     files: frozenset[str]
     """The absolute file names in ``text``."""
 
@@ -94,8 +98,7 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
         scene = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
         summary = _summarize(scene, canonical)
-    by_id = {s.id(): s for s in scene.sensors()}
-    chosen = by_id[canonical.sensors[sensor].attributes["id"]]
+    chosen = scene.sensors()[sensor]
     shown_size = summary.sensors[sensor]
     return LoadedScene(scene, chosen, canonical.digest, summary, variant, (shown_size.width, shown_size.height), sensor)
 
@@ -193,7 +196,7 @@ def _check_file(kind: str, path: Path, owner: Node, bundle: Path) -> tuple[int, 
 
 
 def _sensors(objects: list[Node]) -> list[Node]:
-    """Cameras that can render, in order, each given an id; those inside a batch belong to it.
+    """Cameras that can render, in order; those inside a batch belong to it.
 
     Raises:
         SceneRejected: there is none, or a film is too large.
@@ -202,13 +205,6 @@ def _sensors(objects: list[Node]) -> list[Node]:
     sensors = [node for node in objects if node.tag == "sensor" and id(node) not in inside]
     if not sensors:
         raise SceneRejected("the scene has no <sensor>: add a camera")
-    taken = {node.attributes.get("id") for node in objects}
-    for index, node in enumerate(sensors):
-        rules.film_size(rules.film_of(node, objects))
-        name = _SENSOR_ID.format(index)
-        while name in taken:
-            name += "_"
-        node.attributes.setdefault("id", name)
     for film in objects:
         if film.tag == "film":
             rules.film_size(film)
@@ -299,12 +295,11 @@ def _explain(raw: str, canonical: CanonicalScene) -> str:
 
 def _summarize(scene: mi.Scene, canonical: CanonicalScene) -> SceneSummary:
     objects = canonical.root.objects()
-    made = {sensor.id(): sensor for sensor in scene.sensors()}
+    made = scene.sensors()  # in the order of the file
+    if len(made) != len(canonical.sensors):
+        raise SceneRejected("the scene has a <sensor> in a strange place: put each directly inside <scene>")
     sensors = []
-    for node in canonical.sensors:
-        sensor = made.get(node.attributes["id"])
-        if sensor is None:
-            raise SceneRejected(f"{node} is not a camera of the scene: put it directly inside <scene>")
+    for node, sensor in zip(canonical.sensors, made, strict=True):
         width, height = measure.check_sensor(sensor, str(node))
         sensors.append(SensorSummary(type=node.type, width=width, height=height))
     counts = Counter(node.type for node in objects if node.tag == "emitter")
@@ -314,5 +309,5 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene) -> SceneSummary:
         bsdfs=tuple(sorted({node.type for node in objects if node.tag == "bsdf"})),
         shapes=sum(node.tag == "shape" for node in objects),
         triangles=measure.triangles(scene),
-        warnings=() if counts else ("the scene has no emitters: the image will be black",),
+        warnings=tuple(text for tag, text in _EXPECTED.items() if not any(node.tag == tag for node in objects)),
     )

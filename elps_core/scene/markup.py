@@ -25,6 +25,7 @@ MAX_DEFAULTS = 256
 MAX_VALUE_CHARACTERS = 2**20
 """One attribute value, after parameters are put in; tabulated spectra are the longest in use."""
 
+_VERSION = re.compile(r"[23]\.[0-9]{1,3}\.[0-9]{1,3}")
 _PARAMETER = re.compile(r"[A-Za-z0-9_]{1,64}")
 
 
@@ -145,8 +146,9 @@ class _Reader:
             if name not in allowed:
                 raise SceneRejected(f"{node} has an unknown attribute '{shown(name)}'")
         if not self.open:
-            if node.tag != "scene" or "version" not in node.attributes:
-                raise SceneRejected('the root element must be <scene version="3.0.0">')
+            # Older versions rename parameters while they are read, past every check.
+            if node.tag != "scene" or not _VERSION.fullmatch(node.attributes.get("version", "")):
+                raise SceneRejected('the root element must be <scene version="3.0.0">, or another version from 2 on')
             return
         parent = self.open[-1]
         in_transform = node.tag in plugins.TRANSFORMS

@@ -86,7 +86,7 @@ PLUGINS: dict[str, frozenset[str]] = {
             "cube",
             "cylinder",
             "disk",
-                                    "instance",
+            "instance",
             "linearcurve",
             "obj",
             "ply",

@@ -15,6 +15,7 @@ MAX_OBJECTS = 200_000
 """Plugins in one scene; Mitsuba makes about 50,000 a second."""
 MAX_EMITTERS = 10_000
 """The adjoint image has at least one column for each."""
+MAX_SENSORS = 256
 MAX_FILM_PIXELS = 2**26
 """8192 x 8192: an accumulated image with its error takes about 40 bytes a pixel, 2.7 GB."""
 MAX_FILM_PARTS = 64
@@ -52,10 +53,13 @@ def check(root: Node) -> None:
         raise SceneRejected(f"the scene has {len(objects)} objects: at most {MAX_OBJECTS} are allowed")
     if sum(node.tag == "emitter" for node in objects) > MAX_EMITTERS:
         raise SceneRejected(f"the scene has more than {MAX_EMITTERS} emitters: merge them or use a textured one")
+    if sum(node.tag == "sensor" for node in objects) > MAX_SENSORS:
+        raise SceneRejected(f"the scene has more than {MAX_SENSORS} sensors: leave some out")
     for node in objects:
         _check_object(node)
+        names: set[str] = set()
         for child in node.children:
-            _check_name(child)
+            _check_name(child, names)
             if not child.is_object:
                 for part in (child, *child.children):
                     _check_property(part, node)
@@ -109,12 +113,16 @@ def _check_object(node: Node) -> None:
         raise SceneRejected(f"{node} has more than {MAX_FILM_PARTS} parts")
 
 
-def _check_name(node: Node) -> None:
+def _check_name(node: Node, taken: set[str]) -> None:
     name = node.attributes.get("name")
     if name is None and not (node.is_object or node.tag == "ref"):
         raise SceneRejected(f"{node} needs a name")
     if name is not None and not _NAME.fullmatch(name):
         raise SceneRejected(f"{node} has a name that no parameter has: '{shown(name)}'")
+    if name in taken:
+        raise SceneRejected(f"{node} gives the parameter '{shown(name)}' a second time")
+    if name is not None:
+        taken.add(name)
 
 
 def _check_property(node: Node, owner: Node) -> None:

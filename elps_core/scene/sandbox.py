@@ -102,7 +102,9 @@ def restrict(limits: ChildLimits) -> None:
     for kind, value in wanted.items():
         hard = resource.getrlimit(kind)[1]
         most = value if hard == resource.RLIM_INFINITY else min(value, hard)
-        resource.setrlimit(kind, (most, most))
+        # At the soft limit of processor time comes a signal that tells the reason, at the hard one a kill.
+        soft = max(most - 1, 1) if kind == resource.RLIMIT_CPU else most
+        resource.setrlimit(kind, (soft, most))
 
 
 def _environment(folder: str) -> dict[str, str]:

@@ -47,11 +47,8 @@ def _answer(request: Request, job: Job, media_type: str, produce: Callable[[], t
     if made is None:
         raise Problem("no-image", "the first image comes with the first samples: follow the job's events")
     revision, data = made
-    headers = {
-        "Elps-State": job.state,
-        "Elps-Samples": str(job.samples_done),
-        "Elps-Revision": str(revision),
-    }
+    # The job was read before the image: a final state here means that nothing newer will come.
+    headers = {"Elps-State": job.state, "Elps-Revision": str(revision), **(extra or {})}
     return content(request, data, media_type, etag(revision), headers)
 
 

@@ -15,7 +15,7 @@ from tests.e2e.processes import ELPS, assert_gone, descendants, elps
 def test_demo(tmp_path: Path) -> None:
     done = elps("demo", "--out", tmp_path / "out", "--seconds", "5")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "times as efficient" in done.stdout
+    assert "times as efficient as by" in done.stdout
     partials = {path.name for path in (tmp_path / "out" / "partials").iterdir()}
     assert {"power_0001.exr", "adjoint_0001.exr"} <= partials
     with Image.open(tmp_path / "out" / "comparison.png") as figure:

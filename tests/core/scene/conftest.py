@@ -50,17 +50,19 @@ def ply(vertices: int = 3, faces: int = 1, indices: tuple[int, ...] = (0, 1, 2),
     return head + body
 
 
-def png(width: int = 1, height: int = 1) -> bytes:
-    """An RGB image whose header may declare more than the data holds."""
+def png(width: int = 1, height: int = 1, rows: int = 1) -> bytes:
+    """A black RGB image whose header may declare more rows than the data holds."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
+    packer = zlib.compressobj(1)
+    data = b"".join([*(packer.compress(bytes(1 + 3 * width)) for _ in range(rows)), packer.flush()])
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     return (
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", header)
-        + chunk(b"IDAT", zlib.compress(b"\0\x80\x40\x20"))
+        + chunk(b"IDAT", data)
         + chunk(b"IEND", b"")
     )
 

@@ -322,10 +322,8 @@ def test_mutated_archives_are_refused_or_unpacked(
     into = base / "sub" / "into"
     into.mkdir(parents=True)
     try:
-        xml = unpack(upload, into)
-        assert xml.is_relative_to(into)
-    except SceneRejected as error:
-        assert str(error).isprintable()
-        assert listing(base) == {"upload", "sub", "sub/into"}
+        assert unpack(upload, into).is_relative_to(into)
+    except SceneRejected:
+        assert listing(into) == set()
     assert listing(base) - {f"sub/into/{name}" for name in listing(into)} == {"upload", "sub", "sub/into"}
     assert all(not path.is_symlink() for path in into.rglob("*"))

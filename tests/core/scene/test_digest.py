@@ -1,0 +1,132 @@
+"""Digests: equal where the image is the same, different where it may not be."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from elps_core.scene.digest import context_digest, render_digest
+from elps_core.scene.loader import canonicalize
+from elps_core.settings import ContextSettings, RenderSettings
+
+from .conftest import OBJ, SENSOR, folder_of, mesh, scene_xml, zip_of
+
+XML = scene_xml(mesh("obj", "models/a.obj"))
+FILES = {"scene.xml": XML, "models/a.obj": OBJ}
+SCENE = "sha256:" + "0" * 64
+
+
+def digest_of(folder: Path, files: dict[str, bytes]) -> str:
+    return canonicalize(folder_of(folder, files) / "scene.xml").digest
+
+
+def test_form() -> None:
+    form = re.compile(r"sha256:[0-9a-f]{64}")
+    assert form.fullmatch(context_digest(SCENE, 0, (4, 3), ContextSettings()))
+    assert form.fullmatch(render_digest(SCENE, RenderSettings(), (4, 3)))
+
+
+def test_a_scene_is_the_same_wherever_it_lies_and_however_it_is_packed(tmp_path: Path) -> None:
+    from elps_core.scene.bundle import unpack
+
+    digests = {digest_of(tmp_path / "a", FILES), digest_of(tmp_path / "b" / "deep", FILES)}
+    for index, files in enumerate([FILES, {f"top/{name}": data for name, data in FILES.items()}]):
+        for packed in (True, False):
+            upload = zip_of(tmp_path / f"{index}{packed}.zip", files, packed=packed)
+            digests.add(canonicalize(unpack(upload, tmp_path / f"into{index}{packed}")).digest)
+    reverse = tmp_path / "reverse.zip"
+    with zipfile.ZipFile(reverse, "w") as archive:
+        for name in reversed(FILES):
+            archive.writestr(zipfile.ZipInfo(name, (1999, 1, 1, 0, 0, 0)), FILES[name])
+    digests.add(canonicalize(unpack(reverse, tmp_path / "into-reverse")).digest)
+    assert len(digests) == 1
+
+
+def test_what_the_image_does_not_depend_on_does_not_enter(tmp_path: Path) -> None:
+    plain = digest_of(tmp_path / "plain", FILES)
+    same = {
+        "comment": {**FILES, "scene.xml": XML.replace(b"<emitter", b"<!-- x -->\n  <emitter")},
+        "unused": {**FILES, "notes.txt": b"x", "models/b.obj": OBJ},
+        "renamed": {"scene.xml": XML.replace(b"models/a", b"m/b"), "m/b.obj": OBJ},
+        "parameter": {**FILES, "scene.xml": scene_xml('<default name="n" value="a"/>' + mesh("obj", "models/$n.obj"))},
+        "attributes": {**FILES, "scene.xml": XML.replace(b'name="fov" value="45"', b'value="45" name="fov"')},
+    }
+    for name, files in same.items():
+        assert digest_of(tmp_path / name, files) == plain, name
+
+
+def test_what_the_image_depends_on_enters(tmp_path: Path) -> None:
+    changed = {
+        "plain": FILES,
+        "mesh": {**FILES, "models/a.obj": OBJ.replace(b"1 0 0", b"2 0 0")},
+        "camera": {**FILES, "scene.xml": XML.replace(b'"45"', b'"46"')},
+        "film": {**FILES, "scene.xml": XML.replace(b'"16"', b'"17"')},
+        "shape": {**FILES, "scene.xml": scene_xml(mesh("obj", "models/a.obj") * 2)},
+        "sensor": {**FILES, "scene.xml": scene_xml(mesh("obj", "models/a.obj"), sensor=SENSOR * 2)},
+    }
+    assert len({digest_of(tmp_path / name, files) for name, files in changed.items()}) == len(changed)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"integrator": "mi_path"},
+        {"light_sampling": "power"},
+        {"roulette": "none"},
+        {"rr_depth": 6},
+        {"max_depth": 7},
+        {"sensor": 1},
+        {"seed": 1},
+        {"variant": "llvm_ad_mono"},
+        {"context": {"seed": 1}},
+        {"context": {"resolution": 32}},
+    ],
+)
+def test_settings_that_change_a_render_enter(change: dict[str, Any]) -> None:
+    assert render_digest(SCENE, RenderSettings(**change), (4, 3)) != render_digest(SCENE, RenderSettings(), (4, 3))
+
+
+def test_size_and_scene_enter_a_render() -> None:
+    digests = {
+        render_digest(scene, RenderSettings(), size) for scene in (SCENE, SCENE[:-1] + "1") for size in ((4, 3), (8, 6))
+    }
+    assert len(digests) == 4
+
+
+def test_a_size_counts_the_same_from_film_or_settings() -> None:
+    assert render_digest(SCENE, RenderSettings(), (4, 3)) == render_digest(
+        SCENE, RenderSettings(width=4, height=3), (4, 3)
+    )
+
+
+def test_context_settings_enter_only_where_a_context_is_used() -> None:
+    contexts = [ContextSettings(), ContextSettings(resolution=32)]
+    plain = {render_digest(SCENE, RenderSettings(light_sampling="power", context=c), (4, 3)) for c in contexts}
+    adjoint = {render_digest(SCENE, RenderSettings(light_sampling="adjoint", context=c), (4, 3)) for c in contexts}
+    assert (len(plain), len(adjoint)) == (1, 2)
+
+
+def test_a_context_depends_on_aspect_but_not_on_resolution() -> None:
+    def of(size: tuple[int, int], **change: Any) -> str:
+        return context_digest(SCENE, change.pop("sensor", 0), size, ContextSettings(**change))
+
+    assert of((640, 480)) == of((1600, 1200)) == of((4, 3))
+    others = {of((640, 481)), of((480, 640)), of((4, 3), sensor=1), of((4, 3), seed=1), of((4, 3), resolution=32)}
+    assert len(others) == 5
+    assert of((4, 3)) not in others
+
+
+def test_a_scene_digest_does_not_change_by_accident(tmp_path: Path) -> None:
+    """Stored scenes are found by it: whoever changes the canonical text raises ``SCENE_FORMAT``."""
+    assert digest_of(tmp_path, FILES) == "sha256:SCENE"
+
+
+def test_digests_need_no_mitsuba() -> None:
+    code = "import sys, elps_core.scene.digest; sys.exit('mitsuba' in sys.modules or 'drjit' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0
