@@ -103,8 +103,7 @@ class Renderer:
 
     def _render_baseline(self, spp: int, index: int) -> NDArray[np.float32]:
         seed = key_seed(self.settings.seed, index) & 0xFFFFFFFF
-        image = mi.render(
-            self.scene.scene, sensor=self.scene.sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp
-        )
+        scene, sensor = self.scene.scene, self.scene.sensor
+        image = mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
         pixels = np.array(image, np.float32)
         return np.ascontiguousarray(np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3])

@@ -13,9 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from elps_core.errors import SettingsRejected
 
-Variant = Literal[
-    "llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_rgb", "cuda_ad_mono", "cuda_ad_spectral"
-]
+Variant = Literal["llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_rgb", "cuda_ad_mono", "cuda_ad_spectral"]
 LightSampling = Literal["uniform", "power", "adjoint"]
 DirectionSampling = Literal["scattering", "context"]
 Roulette = Literal["none", "throughput", "albedo", "context"]

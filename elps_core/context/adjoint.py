@@ -49,7 +49,8 @@ def start_table(adjoint: NDArray[np.floating[Any]], emission: Emission, epsilon:
     measured = np.asarray(adjoint, np.float64)
     if measured.sum() <= 0.0:
         return power
-    return (1.0 - epsilon) * measured / measured.sum() + epsilon * power / max(power.sum(), np.finfo(float).tiny)
+    share = power / max(power.sum(), np.finfo(float).tiny)
+    return np.asarray((1.0 - epsilon) * measured / measured.sum() + epsilon * share)
 
 
 class AdjointMeasurement:
@@ -113,7 +114,7 @@ def measure(bdpt: Bdpt, lanes: int, key: tuple[int, ...]) -> Table:
     bdpt.trace(position, streams, splat, deposit, between=switch)
     dr.eval(light_sums, eye_sums)
     total = np.array(light_sums, np.float64) + np.array(eye_sums, np.float64)
-    return total.reshape(lights.columns, lights.rows).T / lanes
+    return np.asarray(total.reshape(lights.columns, lights.rows).T / lanes)
 
 
 def shrunk(batches: NDArray[np.float64], emitters: int) -> Table:
@@ -123,7 +124,7 @@ def shrunk(batches: NDArray[np.float64], emitters: int) -> Table:
     between batches does not explain (James and Stein), so a converged image stays as it is.
     """
     n, rows, columns = batches.shape
-    mean = batches.mean(axis=0)
+    mean = np.asarray(batches.mean(axis=0))
     if n < 2:
         return mean
     noise = batches.var(axis=0, ddof=1) / n

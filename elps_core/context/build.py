@@ -19,6 +19,7 @@ from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.settings import ContextSettings
 
+
 class ContextBuilder:
     """Builds the global context of one scene and sensor in a few short steps.
 

@@ -19,7 +19,7 @@ FORMAT = "elps-context-1"
 """Name and version of the file format: safetensors with the facts as JSON metadata."""
 MAX_HEADER = 1 << 20
 """Bytes of metadata that a file may claim; ours have a few hundred."""
-NUMPY_TYPES = {"F32": np.dtype(np.float32), "F64": np.dtype(np.float64)}
+NUMPY_TYPES: dict[str, np.dtype[Any]] = {"F32": np.dtype(np.float32), "F64": np.dtype(np.float64)}
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def register() -> None:
 def _integrator_class() -> Any:
     """The plugin's class: made here because its base exists once a variant is set."""
 
-    class BdptIntegrator(mi.CppADIntegrator):  # type: ignore[misc, name-defined]
+    class BdptIntegrator(mi.CppADIntegrator):
         """Bidirectional path tracing; see the module's text for its properties."""
 
         def __init__(self, properties: mi.Properties) -> None:
@@ -67,8 +67,8 @@ def _integrator_class() -> Any:
             sensor: int | mi.Sensor = 0,
             seed: int = 0,
             spp: int = 0,
-            develop: bool = True,
-            evaluate: bool = True,
+            develop: bool = True,  # noqa: ARG002 (Mitsuba's signature; the result is always developed)
+            evaluate: bool = True,  # noqa: ARG002 (and always evaluated)
         ) -> mi.TensorXf:
             """Render ``spp`` samples per pixel; returns linear RGB [height, width, 3]."""
             chosen = scene.sensors()[sensor] if isinstance(sensor, int) else sensor

@@ -80,7 +80,10 @@ def read_exr(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Attr
             parts[spec.getattribute("oiio:subimagename") or f"part{number}"] = np.asarray(pixels, np.float32)
             for entry in spec.extra_attribs:
                 if entry.name.startswith(PREFIX):
-                    attributes[entry.name.removeprefix(PREFIX)] = entry.value
+                    value = entry.value
+                    attributes[entry.name.removeprefix(PREFIX)] = (
+                        value if isinstance(value, int | float) else str(value)
+                    )
             number += 1
     finally:
         source.close()

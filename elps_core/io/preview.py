@@ -10,6 +10,8 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
+from elps_core.io.exr import ImageUnwritable
+
 Tone = Literal["srgb", "filmic"]
 
 
@@ -32,10 +34,10 @@ def png(pixels: NDArray[np.uint8]) -> bytes:
     height, width, channels = pixels.shape
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "preview.png"
-        output = oiio.ImageOutput.create("png")
-        output.open(str(path), oiio.ImageSpec(width, height, channels, "uint8"))
-        output.write_image(np.ascontiguousarray(pixels))
-        output.close()
+        buffer = oiio.ImageBuf(oiio.ImageSpec(width, height, channels, "uint8"))
+        buffer.set_pixels(oiio.ROI.All, np.ascontiguousarray(pixels))
+        if not buffer.write(str(path)):
+            raise ImageUnwritable("the picture cannot be written: check the free space for temporary files")
         return path.read_bytes()
 
 

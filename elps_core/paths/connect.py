@@ -28,7 +28,9 @@ def reversed_pdf(vertex: Vertex, wo: mi.Vector3f, context: mi.BSDFContext, activ
     return vertex.si.bsdf().pdf(context, si, vertex.si.wi, active)
 
 
-def hit_emitter(scene: mi.Scene, vertex: Vertex, lights: StartDensity, active: mi.Bool) -> tuple[mi.Spectrum, mi.UInt32]:
+def hit_emitter(
+    scene: mi.Scene, vertex: Vertex, lights: StartDensity, active: mi.Bool
+) -> tuple[mi.Spectrum, mi.UInt32]:
     """s = 0: an eye path meets an emitter. Returns the contribution and the emitter's cell."""
     emitter = vertex.si.emitter(scene, active)
     active = active & (emitter != None)  # noqa: E711 (a comparison of arrays of pointers)

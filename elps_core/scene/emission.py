@@ -15,6 +15,9 @@ import numpy as np
 
 from elps_core.errors import SceneRejected
 
+Matrix = np.ndarray[Any, np.dtype[np.floating[Any]]]
+KEY_LENGTH = 7
+"""Bounding box and area tell emitters apart; a point light has its position and zeros."""
 SURFACES = ("rectangle", "sphere", "disk", "cylinder", "mesh")
 """Shapes that may carry an area light: those whose F has an inverse."""
 POINTS = ("point", "spot")
@@ -213,7 +216,7 @@ class Emission:
         low, high = (dr.gather(mi.Float, self._face_cdf, row * 2 + k, active) for k in range(2))
         return mi.Point2f(u.x, low + u.y * (high - low))
 
-    def _measure_power(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def _measure_power(self) -> Matrix:
         """Average emission over a grid on each emitter (textures), times area and solid angle."""
         n = POWER_SAMPLES
         cells = n * n
@@ -231,13 +234,14 @@ class Emission:
         solid_angle = dr.select(point.delta, dr.two_pi * (1.0 - cutoff), dr.pi)
         flux = luminance(value * weight, wavelengths) * solid_angle / point.pdf
         flux_np = np.array(flux, np.float64).reshape(self.count, cells)
-        return np.nan_to_num(flux_np.mean(axis=1), nan=0.0, posinf=0.0)
+        return np.asarray(np.nan_to_num(flux_np.mean(axis=1), nan=0.0, posinf=0.0), np.float64)
 
 
 def sample_wavelengths(u: mi.Float) -> tuple[mi.Spectrum, mi.UnpolarizedSpectrum]:
     """Hero wavelengths for ``u`` and their weights; nothing to sample outside spectral variants."""
     if mi.is_spectral:
-        return mi.sample_rgb_spectrum(mi.sample_shifted(u))
+        wavelengths, weight = mi.sample_rgb_spectrum(mi.sample_shifted(u))
+        return wavelengths, weight
     return mi.Color0f(), mi.UnpolarizedSpectrum(1.0)
 
 
@@ -254,8 +258,8 @@ class _Light:
     emitter: Any
     shape: Any
     area: float
-    to_local: Any  # World to local, float64 [3, 4]
-    position: Any  # float64 [3]
+    to_local: Matrix  # World to local, [3, 4]
+    position: Matrix  # [3]
     cos_cutoff: float
     key: tuple[float, ...]
 
@@ -274,7 +278,7 @@ def _describe_shape(shape: Any) -> _Light:
     kind = str(mi.ShapeType(shape.shape_type())).rsplit(".")[-1].lower()
     if kind not in SURFACES:
         raise SceneRejected(f"an area light on a '{kind}' shape is not supported: use {', '.join(SURFACES)}")
-    to_local = np.eye(4)
+    to_local: Matrix = np.eye(4)
     if kind in ("sphere", "disk"):
         to_local = np.linalg.inv(np.array(mi.traverse(shape)["to_world"].matrix, np.float64).reshape(4, 4))
     box = shape.bbox()
@@ -288,7 +292,7 @@ def _describe_point(emitter: Any) -> _Light:
     if kind not in POINTS:
         raise SceneRejected(f"a '{kind}' light is not supported by this integrator yet: use integrator 'mi_path'")
     params = mi.traverse(emitter)
-    to_local = np.eye(4)
+    to_local: Matrix = np.eye(4)
     cos_cutoff = -1.0
     if kind == "spot":
         to_world = np.array(params["to_world"].matrix, np.float64).reshape(4, 4)
@@ -297,7 +301,8 @@ def _describe_point(emitter: Any) -> _Light:
         cos_cutoff = float(np.cos(np.radians(np.array(params["cutoff_angle"]).ravel()[0])))
     else:
         position = np.array(params["position"], np.float64).ravel()
-    return _Light(kind, emitter, None, 1.0, to_local[:3], position, cos_cutoff, (*map(float, position), 0.0, 0.0, 0.0, 0.0))
+    key = (*map(float, position), *(0.0,) * (KEY_LENGTH - 3))
+    return _Light(kind, emitter, None, 1.0, to_local[:3], position, cos_cutoff, key)
 
 
 def _plugin_name(plugin: Any) -> str:

@@ -29,7 +29,7 @@ DEFAULT_LIMITS = ChildLimits()
 _DEATHS = {
     "time": "checking the scene took too long: make it smaller or simpler",
     "memory": "the scene needs more memory than a check may use: make its meshes and images smaller",
-    "crash": "the scene crashes the renderer: one of its files is damaged",
+    "crash": "the scene crashes the renderer: one of its files is damaged or needs too much memory",
 }
 
 

@@ -34,6 +34,7 @@ _EXPECTED = {
     "shape": "the scene has no shapes: there is nothing to see",
 }
 """Element -> the warning where a scene has none."""
+_TOO_LARGE = "the scene needs more memory than there is: make its meshes and images smaller"
 _LOCATION = re.compile(r"\(line (\d{1,9}), col \d+\)")
 
 
@@ -242,10 +243,10 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> mi.Scene:
         _check_again(state, canonical)
         mi_.parser.transform_all(config, state)
         scene: mi.Scene = mi_.parser.instantiate(config, state)
-    except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError) as error:
+    except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
+        if isinstance(error, MemoryError) or "bad_alloc" in str(error):
+            raise SceneRejected(_TOO_LARGE) from None
         raise SceneRejected(_explain(str(error), canonical)) from None
-    except MemoryError:
-        raise SceneRejected("the scene needs more memory than there is: make its meshes and images smaller") from None
     finally:
         mi_.set_log_level(level)
     return scene

@@ -14,6 +14,8 @@ from worker import pictures
 from worker.farm import Farm
 from worker.models import ContextRecord
 
+HEADERS = {"ETag": "Digest of the context, which never changes once it is built."}
+
 router = APIRouter(tags=["contexts"])
 
 
@@ -50,7 +52,7 @@ def _answer(
     operation_id="getAdjoint",
     summary="Adjoint image as OpenEXR",
     response_class=Response,
-    responses=binary(EXR),
+    responses=binary(EXR, HEADERS),
 )
 def adjoint_exr(digest: Digest, farm: FarmOf, request: Request) -> Response:
     """Flux of the image per cell of the light sources: columns run over emitters, rows over their surface."""
@@ -62,7 +64,7 @@ def adjoint_exr(digest: Digest, farm: FarmOf, request: Request) -> Response:
     operation_id="getAdjointPreview",
     summary="Adjoint image as PNG",
     response_class=Response,
-    responses=binary(PNG),
+    responses=binary(PNG, HEADERS),
 )
 def adjoint_png(digest: Digest, farm: FarmOf, request: Request) -> Response:
     """The adjoint image for a screen."""

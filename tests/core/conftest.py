@@ -76,7 +76,8 @@ def render_path() -> Callable[..., Array]:
 
         integrator = mitsuba.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": 1000})
         results = [
-            np.array(mitsuba.render(scene, integrator=integrator, spp=spp, seed=1000 + index)) for index in range(images)
+            np.array(mitsuba.render(scene, integrator=integrator, spp=spp, seed=1000 + index))
+            for index in range(images)
         ]
         return np.stack(results)[..., :3]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elps_core.estimate.stats import compare
+from tests.agreement import compare
 
 Array = np.ndarray[Any, Any]
 
@@ -56,9 +56,7 @@ def measurement(scene: Any, **options: Any) -> Any:
     return result
 
 
-def test_sum_is_the_mean_luminance_of_the_picture(
-    mi: Any, two_lights: Any, render_path: Callable[..., Array]
-) -> None:
+def test_sum_is_the_mean_luminance_of_the_picture(mi: Any, two_lights: Any, render_path: Callable[..., Array]) -> None:
     measured = measurement(two_lights, samples_per_cell=512, max_depth=6)
     flux = measured.batches.sum(axis=(1, 2))
     weights = np.array([0.212671, 0.715160, 0.072169])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,7 +16,7 @@ def test_chunks_grow_and_stay_bounded(width: int, height: int) -> None:
     settings = RenderSettings()
     sizes = [chunk_spp(index, settings, (width, height)) for index in range(40)]
     assert sizes[0] >= 1
-    assert all(a <= b <= 2 * a for a, b in zip(sizes, sizes[1:], strict=False))
+    assert all(a <= b <= 2 * a for a, b in pairwise(sizes))
     assert sizes[-1] * width * height <= max(1 << 20, width * height)
 
 

@@ -37,7 +37,11 @@ def shape_lights(mi: Any) -> Any:
                 "to_world": place().translate([-4, 0, 0]) @ turn @ place().scale(1.3),
                 "emitter": area,
             },
-            "disk": {"type": "disk", "to_world": place().translate([0, 4, 0]) @ turn @ place().scale(1.7), "emitter": area},
+            "disk": {
+                "type": "disk",
+                "to_world": place().translate([0, 4, 0]) @ turn @ place().scale(1.7),
+                "emitter": area,
+            },
             "cylinder": {"type": "cylinder", "p0": [0, -4, 0], "p1": [1, -5, 1], "radius": 0.3, "emitter": area},
             "mesh": mesh,
         }

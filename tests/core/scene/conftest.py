@@ -59,12 +59,7 @@ def png(width: int = 1, height: int = 1, rows: int = 1) -> bytes:
     packer = zlib.compressobj(1)
     data = b"".join([*(packer.compress(bytes(1 + 3 * width)) for _ in range(rows)), packer.flush()])
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", header)
-        + chunk(b"IDAT", data)
-        + chunk(b"IEND", b"")
-    )
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
 
 
 def zip_of(path: Path, files: dict[str, bytes], *, packed: bool = True) -> Path:

@@ -85,7 +85,7 @@ def test_too_much_memory_is_a_refusal(isolation: str, tmp_path: Path, scratch: P
     big = png(8000, 8000, rows=8000)
     upload = zip_of(tmp_path / "a.zip", {"scene.xml": scene_xml(texture("big.png")), "big.png": big}, packed=False)
     inspect_in_child(upload)
-    assert "memory" in reject(lambda: inspect_in_child(upload, ChildLimits(memory_bytes=GIB // 2)))
+    assert "memory" in reject(lambda: inspect_in_child(upload, ChildLimits(memory_bytes=GIB * 6 // 10)))
     assert list(scratch.iterdir()) == []
 
 
