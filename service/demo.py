@@ -31,6 +31,8 @@ START_SECONDS = 60.0
 """Time for the first worker to come up: it loads its renderer first."""
 STOP_SECONDS = 40.0
 """Time for the service to end; longer than it gives its workers."""
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
 LEGEND_SIZE = (256, 16)
 """Width and height of the colour scale, pixels."""
 TITLES = {"power": "light sampling by power", "adjoint": "light sampling by adjoint image"}
@@ -62,7 +64,7 @@ def demo(out: Path, seconds: float) -> None:
     console = Console()
     partials = out / "partials"
     partials.mkdir(parents=True, exist_ok=True)
-    with interruptible(), tempfile.TemporaryDirectory(prefix="elps-demo-") as folder:
+    with interruptible(INTERRUPTED), tempfile.TemporaryDirectory(prefix="elps-demo-") as folder:
         console.print("starting the service")
         with _service(Path(folder) / "data") as url, Client(url) as client:
             scene = client.upload(_maze(Path(folder)))

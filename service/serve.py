@@ -67,7 +67,7 @@ def serve(data: Path, host: str, port: int, workers: int, announce: Callable[[st
     """
     listener = _bind(check_host(host), port)
     with listener, contextlib.ExitStack() as stack:
-        stack.enter_context(interruptible())
+        stack.enter_context(interruptible(0))  # to be interrupted is how it ends
         settings = _settings(data, stack)
         farm = Farm.connect(settings)
         stack.callback(farm.close)
@@ -121,13 +121,13 @@ def _bind(host: str, port: int) -> socket.socket:
 
 
 @contextlib.contextmanager
-def interruptible() -> Iterator[None]:
-    """The first SIGINT or SIGTERM raises SystemExit in the block; later ones cannot disturb the clean-up."""
+def interruptible(status: int) -> Iterator[None]:
+    """The first SIGINT or SIGTERM raises SystemExit(status) in the block; later ones cannot disturb the clean-up."""
 
     def stop(_number: int, _frame: FrameType | None) -> None:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        raise SystemExit(0)
+        raise SystemExit(status)
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

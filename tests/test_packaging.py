@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
 import tomllib
-from importlib.metadata import distribution
+from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,17 @@ def pins(lock: str) -> dict[str, set[str]]:
         if match := PIN.fullmatch(line):
             found.setdefault(match["name"], set()).add(match["version"])
     return found
+
+
+def imported(file: Path) -> set[str]:
+    """Top-level names of the packages that a source file imports anywhere."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.split(".")[0])
+    return names
 
 
 def test_the_readme_opens_with_the_two_commands():
@@ -106,3 +118,13 @@ def test_the_set_up_refuses_an_old_python_in_one_line(tmp_path: Path):
     assert result.returncode == 1
     assert result.stderr.startswith("setup: Python 3.11 or later is needed")
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_every_import_is_a_declared_dependency():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {Requirement(line).name.lower() for line in project["dependencies"]}
+    ours = {"elps_core", "worker", "service"}
+    packages = packages_distributions()
+    for file in [file for package in sorted(ours) for file in sorted((ROOT / package).rglob("*.py"))]:
+        for name in imported(file) - ours - sys.stdlib_module_names:
+            assert declared & {owner.lower() for owner in packages.get(name, [])}, f"{file.relative_to(ROOT)}: {name}"

@@ -54,7 +54,10 @@ class EmbeddedServer:
             self._say(_configuration(port, password, folder))
             if self._answers():
                 return
+            hangs = self._watcher.poll() is None
             self.close()
+            if hangs:
+                break
         raise FarmUnavailable("the embedded Valkey server does not start: is another one running on this data folder?")
 
     def close(self) -> None:

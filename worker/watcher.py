@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import TextIO
 
 STOP_SECONDS = 10.0
 """Time that the server may take to write its data and end."""
@@ -34,15 +35,15 @@ def watch(program: str, folder: Path) -> int:
             return 0
         configuration += piece
     with (folder / "lock").open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)  # two servers on one folder would spoil each other's data
+        if not _locked(held, source):  # two servers on one folder would spoil each other's data
+            return 0
         command = [program, "-"]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as server:  # noqa: S603
             assert server.stdin is not None  # noqa: S101
             server.stdin.write(configuration.removesuffix(b"\0"))
             server.stdin.close()
             while server.poll() is None:
-                readable, _, _ = select.select([source], [], [], LOOK_SECONDS)
-                if readable and not os.read(source, 1):
+                if _closed(source):
                     server.terminate()
                     try:
                         server.wait(STOP_SECONDS)
@@ -50,6 +51,24 @@ def watch(program: str, folder: Path) -> int:
                         server.kill()
                     return 0
             return server.returncode
+
+
+def _closed(source: int) -> bool:
+    """Whether the pipe from the process that started us broke; waits a moment to see."""
+    readable, _, _ = select.select([source], [], [], LOOK_SECONDS)
+    return bool(readable) and not os.read(source, 1)
+
+
+def _locked(held: TextIO, source: int) -> bool:
+    """Wait for the lock of the data folder; False where the pipe breaks first."""
+    while True:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if _closed(source):
+                return False
+        else:
+            return True
 
 
 if __name__ == "__main__":

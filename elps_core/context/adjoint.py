@@ -37,8 +37,8 @@ def grid(emitters: int, resolution: int) -> tuple[int, int]:
     return rows, columns
 
 
-def start_table(adjoint: NDArray[np.floating[Any]], emission: Emission, epsilon: float) -> Table:
-    """Weights of the start density: the adjoint image, plus a share ``epsilon`` of emitted power.
+def start_table(adjoint: NDArray[np.floating[Any]], emission: Emission, epsilon: float, exponent: float = 1.0) -> Table:
+    """Weights of the start density: a power of the adjoint image, plus a share ``epsilon`` of emitted power.
 
     The share keeps every cell alive: measurements are estimates, and a cell that they missed must
     still be drawn [thesis 5.2.1].
@@ -46,7 +46,7 @@ def start_table(adjoint: NDArray[np.floating[Any]], emission: Emission, epsilon:
     rows, columns = adjoint.shape
     per_cell = rows * (columns // emission.count)
     power = np.repeat(emission.power / per_cell, columns // emission.count)[None, :].repeat(rows, axis=0)
-    measured = np.asarray(adjoint, np.float64)
+    measured = np.asarray(adjoint, np.float64) ** exponent
     if measured.sum() <= 0.0:
         return power
     share = power / max(power.sum(), np.finfo(float).tiny)

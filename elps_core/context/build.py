@@ -107,4 +107,6 @@ def start_density(context: GlobalContext, emission: Emission) -> StartDensity:
     )
     if not same or columns % emission.count or rows < 1:
         raise ContextMismatch("the context belongs to a scene with other lights: build it again for this scene")
-    return StartDensity(emission, adjoint.start_table(context.adjoint, emission, context.settings.epsilon))
+    return StartDensity(
+        emission, adjoint.start_table(context.adjoint, emission, context.settings.epsilon, context.settings.exponent)
+    )

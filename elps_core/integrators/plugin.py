@@ -97,5 +97,5 @@ def _bdpt(scene: mi.Scene, sensor: mi.Sensor, settings: RenderSettings) -> Bdpt:
         measurement = adjoint.AdjointMeasurement(scene, camera, emission, options)
         for _ in range(adjoint.STEPS):
             measurement.step()
-        table = adjoint.start_table(measurement.image(), emission, options.epsilon)
+        table = adjoint.start_table(measurement.image(), emission, options.epsilon, options.exponent)
     return Bdpt(scene, camera, StartDensity(emission, table), max_depth=settings.max_depth, roulette=rule)

@@ -76,6 +76,7 @@ def unpack(upload: Path, into: Path, limits: BundleLimits = DEFAULT_LIMITS) -> P
         SceneRejected: not a zip archive, XML file or folder; too large; or it holds something that
             a scene may not bring: code, links, nested archives, paths that lead outside.
     """
+    upload = upload.resolve()  # the upload itself may be a link; nothing in it may
     into.mkdir(parents=True, exist_ok=True)
     try:
         if upload.is_dir():
@@ -96,8 +97,12 @@ def unpack(upload: Path, into: Path, limits: BundleLimits = DEFAULT_LIMITS) -> P
 
 
 def is_archive(upload: Path) -> bool:
-    """Whether the file begins as a zip archive does; names and extensions are not asked."""
-    with upload.open("rb") as file:
+    """Whether the file begins as a zip archive does; names and extensions are not asked.
+
+    Raises:
+        SceneRejected: it is no ordinary file, or cannot be read.
+    """
+    with open_regular(upload) as file:
         return file.read(2) == b"PK"
 
 
@@ -211,26 +216,30 @@ class _Counter:
 
 
 def _unpack_archive(upload: Path, into: Path, limits: BundleLimits) -> None:
-    size = upload.stat().st_size
+    with open_regular(upload) as file:
+        _unpack_open_archive(file, into, limits)
+
+
+def _unpack_open_archive(file: BinaryIO, into: Path, limits: BundleLimits) -> None:
+    size = os.fstat(file.fileno()).st_size
     if size > limits.upload_bytes:
         raise SceneRejected(f"the archive is larger than {limits.upload_bytes // MIB} MiB: make its files smaller")
-    with upload.open("rb") as file:
-        _check_central_records(file, limits)
-        with zipfile.ZipFile(file) as archive:
-            infos = archive.infolist()
-            if len(infos) > limits.entries:
-                raise SceneRejected(f"the archive has more than {limits.entries} entries: merge or leave out files")
-            _check_overlap(file, infos, archive.start_dir)
-            names, counter = _Names(limits), _Counter(limits, size)
-            for info in infos:
-                _check_entry(info)
-                if _is_folder(info):
-                    _check_folder_name(info.orig_filename, names)
-                    continue
-                path = names.check(info.orig_filename)
-                if path is not None:
-                    with archive.open(info) as source:
-                        counter.copy(source, into / path)
+    _check_central_records(file, limits)
+    with zipfile.ZipFile(file) as archive:
+        infos = archive.infolist()
+        if len(infos) > limits.entries:
+            raise SceneRejected(f"the archive has more than {limits.entries} entries: merge or leave out files")
+        _check_overlap(file, infos, archive.start_dir)
+        names, counter = _Names(limits), _Counter(limits, size)
+        for info in infos:
+            _check_entry(info)
+            if _is_folder(info):
+                _check_folder_name(info.orig_filename, names)
+                continue
+            path = names.check(info.orig_filename)
+            if path is not None:
+                with archive.open(info) as source:
+                    counter.copy(source, into / path)
 
 
 def _check_central_records(file: BinaryIO, limits: BundleLimits) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from elps_core.errors import SceneRejected
 
@@ -73,8 +74,8 @@ class Emission:
         self._position = mi.Float(np.concatenate([light.position for light in lights]).astype(np.float32))
         self._cutoff = mi.Float([light.cos_cutoff for light in lights])
         self._build_meshes(lights)
-        self.power = self._measure_power()
-        """Emitted flux of each emitter in units of luminance, float64 [count]."""
+        self.power: NDArray[np.float64] = self._measure_power()
+        """Emitted flux of each emitter in units of luminance, [count]."""
 
     # -- F ---------------------------------------------------------------------------------------
 
@@ -216,7 +217,7 @@ class Emission:
         low, high = (dr.gather(mi.Float, self._face_cdf, row * 2 + k, active) for k in range(2))
         return mi.Point2f(u.x, low + u.y * (high - low))
 
-    def _measure_power(self) -> Matrix:
+    def _measure_power(self) -> NDArray[np.float64]:
         """Average emission over a grid on each emitter (textures), times area and solid angle."""
         n = POWER_SAMPLES
         cells = n * n

@@ -91,6 +91,9 @@ def inspect_in_child(upload: Path, limits: ChildLimits = DEFAULT_LIMITS) -> Scen
 
 def main(arguments: list[str]) -> int:
     """Entry of the child: the upload, then limits as ``name=value``."""
+    if not arguments:
+        print("usage: python -m elps_core.scene.inspect UPLOAD", file=sys.stderr)  # noqa: T201
+        return 2
     upload, *settings = arguments
     given = {name: float(value) for name, _, value in (text.partition("=") for text in settings)}
     defaults = vars(DEFAULT_LIMITS)

@@ -86,6 +86,7 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
     """
     if not source.exists():
         raise SceneRejected(f"there is no scene '{shown(source.name)}'")
+    source = source.resolve()
     mi_ = device.use(variant)
     with ExitStack() as until_loaded:
         if source.is_dir():

@@ -29,5 +29,5 @@ def test_interrupted_demo_leaves_nothing(tmp_path: Path) -> None:
         assert process.poll() is None
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    assert process.wait(40.0) is not None
+    assert process.wait(40.0) == 130
     assert_gone(family, 1.0)

@@ -95,6 +95,15 @@ def test_events_arrive_while_the_job_lives(client: httpx.Client, job: dict[str, 
     assert "cancelled" in seen[-1]
 
 
+def test_silent_stream_is_kept_alive(
+    client: httpx.Client, job: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fastapi.routing._PING_INTERVAL", 0.1)
+    with client.stream("GET", f"/v1/jobs/{job['id']}/events") as answer:
+        lines = answer.iter_lines()
+        assert [line for line, _ in zip((line for line in lines if line.startswith(":")), range(2), strict=False)]
+
+
 @pytest.mark.parametrize("last", ["x", "-1", "1.5", "1e3", "9" * 400])
 def test_invalid_last_event_id(client: httpx.Client, job: dict[str, Any], last: str) -> None:
     answer = client.get(f"/v1/jobs/{job['id']}/events", headers={"Last-Event-ID": last})

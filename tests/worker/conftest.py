@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +17,7 @@ from worker.embedded import EmbeddedServer
 from worker.farm import Farm
 from worker.models import FINAL_STATES, Job, SceneRecord
 from worker.parts import Parts
-from worker.run import start_process, stop_process
+from worker.run import start_process
 from worker.settings import FarmSettings
 
 TINY = RenderSettings(integrator="mi_path", width=32, height=32, max_depth=4)
@@ -60,9 +61,23 @@ def upload(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def checked(server: EmbeddedServer, upload: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A store that has the scene, and the scene's digest: checking takes a second."""
+    store = tmp_path_factory.mktemp("checked")
+    farm = Farm.connect(FarmSettings(redis_url=server.url, store_url=store.as_uri()))
+    record, _ = farm.add_scene(upload, "rooms.zip")
+    farm.close()
+    return store, record.digest
+
+
 @pytest.fixture
-def scene(farm: Farm, upload: Path) -> SceneRecord:
-    return farm.add_scene(upload, "rooms.zip")[0]
+def scene(farm: Farm, tmp_path: Path, checked: tuple[Path, str]) -> SceneRecord:
+    store, digest = checked
+    shutil.copytree(store, tmp_path / "store", dirs_exist_ok=True)
+    record = farm.scene(digest)
+    assert record is not None
+    return record
 
 
 @pytest.fixture
@@ -78,7 +93,8 @@ def hire(settings: FarmSettings, farm: Farm) -> Iterator[Callable[[], subprocess
 
     yield one_more
     for worker in hired:
-        stop_process(worker)
+        worker.kill()  # what it leaves ends by itself, and the next test has a Redis of its own
+        worker.wait()
 
 
 def wait_for(condition: Callable[[], object], seconds: float) -> None:

@@ -94,3 +94,11 @@ def test_a_server_on_the_path_is_used_where_the_wheel_is_missing(
     monkeypatch.setenv("PATH", str(tmp_path) + os.pathsep + "/usr/bin")
     with EmbeddedServer() as server:
         assert answers(server.url)
+
+
+def test_two_servers_on_one_folder_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("worker.embedded.START_SECONDS", 1.0)
+    with EmbeddedServer(tmp_path) as first:
+        with pytest.raises(FarmUnavailable, match="data folder"):
+            EmbeddedServer(tmp_path)
+        assert answers(first.url)

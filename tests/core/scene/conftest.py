@@ -8,10 +8,14 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from elps_core.errors import SceneRejected
+from elps_core.scene.loader import LoadedScene, load_scene
+
+VARIANT = "scalar_rgb"
 
 SENSOR = """
 <sensor type="perspective">
@@ -77,20 +81,26 @@ def folder_of(path: Path, files: dict[str, bytes]) -> Path:
     return path
 
 
+def load(tmp_path: Path, xml: bytes, files: dict[str, bytes] | None = None) -> LoadedScene:
+    """Load a bundle of a scene and other files, in the variant that starts fastest."""
+    return load_scene(zip_of(tmp_path / "upload.zip", {"scene.xml": xml, **(files or {})}), VARIANT)
+
+
 def listing(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
 
 
-Reject = Callable[[Callable[[], object]], str]
+Reject = Callable[..., str]
+"""(function, arguments ...) -> the message of the SceneRejected that it must raise."""
 
 
 @pytest.fixture
 def reject(tmp_path: Path) -> Reject:
-    """Call something that must raise SceneRejected; return its message once its form is checked."""
+    """Call something that must raise SceneRejected; return the message once its form is checked."""
 
-    def call(action: Callable[[], object]) -> str:
+    def call(action: Callable[..., object], *arguments: Any, **named: Any) -> str:
         with pytest.raises(SceneRejected) as caught:
-            action()
+            action(*arguments, **named)
         message = str(caught.value)
         assert message
         assert message.isprintable()

@@ -8,6 +8,7 @@ import stat
 import struct
 import warnings
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,7 @@ def refused(upload: Path, tmp_path: Path, reject: Reject, limits: BundleLimits =
     into = tmp_path / "sub" / "into"
     into.mkdir(parents=True)
     before = listing(tmp_path)
-    message = reject(lambda: unpack(upload, into, limits))
+    message = reject(unpack, upload, into, limits)
     assert listing(tmp_path) == before
     return message
 
@@ -177,14 +178,13 @@ def test_links_and_devices_in_an_archive_are_refused(kind: int, tmp_path: Path, 
 def test_links_and_devices_in_a_folder_are_refused(tmp_path: Path, reject: Reject) -> None:
     secret = tmp_path / "secret.obj"
     secret.write_bytes(OBJ)
-    for index, make in enumerate(
-        [
-            lambda path: path.symlink_to(secret),
-            lambda path: path.symlink_to(tmp_path),
-            lambda path: os.link(secret, path),
-            lambda path: os.mkfifo(path),
-        ]
-    ):
+    makers: list[Callable[[Path], None]] = [
+        lambda path: path.symlink_to(secret),
+        lambda path: path.symlink_to(tmp_path),
+        lambda path: os.link(secret, path),
+        lambda path: os.mkfifo(path),
+    ]
+    for index, make in enumerate(makers):
         folder = folder_of(tmp_path / f"folder{index}", {"scene.xml": XML})
         make(folder / "mesh.obj")
         refused(folder, tmp_path / f"t{index}", reject)

@@ -54,29 +54,29 @@ def test_the_child_reports_what_loading_here_finds(isolation: str, tmp_path: Pat
 def test_a_single_file_is_alone(tmp_path: Path, reject: Reject) -> None:
     """An uploaded XML file must not reach its neighbours in the upload folder."""
     folder_of(tmp_path, FILES)
-    assert "a.obj" in reject(lambda: inspect_in_child(tmp_path / "scene.xml"))
+    assert "a.obj" in reject(inspect_in_child, tmp_path / "scene.xml")
     (tmp_path / "scene.xml").write_bytes(scene_xml())
     assert inspect_in_child(tmp_path / "scene.xml").summary.shapes == 1
 
 
 def test_refusals_come_back_as_they_are(isolation: str, tmp_path: Path, scratch: Path, reject: Reject) -> None:
     upload = zip_of(tmp_path / "a.zip", {"scene.xml": scene_xml(mesh("obj", "missing.obj"))})
-    message = reject(lambda: inspect_in_child(upload))
+    message = reject(inspect_in_child, upload)
     assert "missing.obj" in message
     (tmp_path / "b.zip").write_bytes(b"garbage")
-    assert "neither" in reject(lambda: inspect_in_child(tmp_path / "b.zip"))
+    assert "neither" in reject(inspect_in_child, tmp_path / "b.zip")
     passwd = zip_of(tmp_path / "c.zip", {"scene.xml": scene_xml(mesh("obj", "/etc/passwd"))})
-    assert "root:" not in reject(lambda: inspect_in_child(passwd))
+    assert "root:" not in reject(inspect_in_child, passwd)
     assert list(scratch.iterdir()) == []
 
 
 def test_too_much_time_is_a_refusal(isolation: str, tmp_path: Path, scratch: Path, reject: Reject) -> None:
     upload = zip_of(tmp_path / "a.zip", FILES)
     started = time.monotonic()
-    assert "too long" in reject(lambda: inspect_in_child(upload, ChildLimits(wall_seconds=0.2)))
+    assert "too long" in reject(inspect_in_child, upload, ChildLimits(wall_seconds=0.2))
     assert time.monotonic() - started < 10
     slow = zip_of(tmp_path / "b.zip", {"scene.xml": scene_xml('<shape type="sphere"/>' * 190_000)})
-    assert "too long" in reject(lambda: inspect_in_child(slow, ChildLimits(cpu_seconds=2)))
+    assert "too long" in reject(inspect_in_child, slow, ChildLimits(cpu_seconds=2))
     assert list(scratch.iterdir()) == []
 
 
@@ -85,7 +85,7 @@ def test_too_much_memory_is_a_refusal(isolation: str, tmp_path: Path, scratch: P
     big = png(8000, 8000, rows=8000)
     upload = zip_of(tmp_path / "a.zip", {"scene.xml": scene_xml(texture("big.png")), "big.png": big}, packed=False)
     inspect_in_child(upload)
-    assert "memory" in reject(lambda: inspect_in_child(upload, ChildLimits(memory_bytes=GIB * 6 // 10)))
+    assert "memory" in reject(inspect_in_child, upload, ChildLimits(memory_bytes=GIB * 6 // 10))
     assert list(scratch.iterdir()) == []
 
 

@@ -1,0 +1,247 @@
+"""Jobs on a real farm: one Valkey, one store, real workers that render with Mitsuba."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from elps_core.errors import SceneRejected, SettingsRejected
+from elps_core.io.exr import read_exr
+from elps_core.settings import ContextSettings, RenderSettings, StopCriterion
+from tests.worker.conftest import TINY, finished, wait_for
+from worker.embedded import EmbeddedServer
+from worker.errors import FarmUnavailable
+from worker.farm import Farm
+from worker.models import Event, SceneRecord
+from worker.parts import Parts
+from worker.settings import FarmSettings
+
+Hire = Callable[[], subprocess.Popen[bytes]]
+
+SMALL_CONTEXT = ContextSettings(resolution=8, samples_per_cell=8, max_depth=4)
+GUIDED = RenderSettings(width=32, height=32, max_depth=4, context=SMALL_CONTEXT)
+TWO_CHUNKS = StopCriterion(samples=2048)
+"""A first chunk and a second one, at 1024 samples per pixel each."""
+
+
+def test_a_scene_is_stored_once(farm: Farm, upload: Path) -> None:
+    first, created = farm.add_scene(upload, "first.zip")
+    again, created_again = farm.add_scene(upload, "second.zip")
+    assert (created, created_again) == (True, False)
+    assert again == first
+    assert farm.scene(first.digest) == first
+    assert first.name == "first.zip"
+    assert first.summary["sensors"][0]["width"] == 64
+
+
+def test_a_rejected_scene_leaves_nothing(farm: Farm, parts: Parts, tmp_path: Path) -> None:
+    garbage = tmp_path / "scene.zip"
+    garbage.write_bytes(b"PK\x03\x04 this is no archive")
+    with pytest.raises(SceneRejected):
+        farm.add_scene(garbage, "scene.zip")
+    assert parts.store.keys("") == []
+    assert parts.redis.dbsize() == 0
+
+
+def test_what_cannot_be_rendered_is_refused_at_the_door(farm: Farm, scene: SceneRecord, settings: FarmSettings) -> None:
+    with pytest.raises(SceneRejected, match="upload"):
+        farm.submit("sha256:" + 64 * "0", TINY, TWO_CHUNKS)
+    with pytest.raises(SceneRejected, match="upload"):
+        farm.submit("../../etc/passwd", TINY, TWO_CHUNKS)
+    with pytest.raises(SettingsRejected, match="sensor"):
+        farm.submit(scene.digest, TINY.model_copy(update={"sensor": 5}), TWO_CHUNKS)
+    tight = Farm.connect(settings.model_copy(update={"max_pixels": 100, "max_samples": 10, "max_seconds": 5.0}))
+    with pytest.raises(SettingsRejected, match="100 pixels"):
+        tight.submit(scene.digest, TINY, StopCriterion(samples=1))
+    small = TINY.model_copy(update={"width": 8, "height": 8})
+    with pytest.raises(SettingsRejected, match="at most 10"):
+        tight.submit(scene.digest, small, TWO_CHUNKS)
+    with pytest.raises(SettingsRejected, match="at most 5"):
+        tight.submit(scene.digest, small, StopCriterion(seconds=6))
+    assert farm.jobs() == []
+    tight.close()
+
+
+def test_an_error_alone_gets_a_time_limit(farm: Farm, scene: SceneRecord, settings: FarmSettings) -> None:
+    job = farm.submit(scene.digest, TINY, StopCriterion(error=0.001))
+    assert job.stop.seconds == settings.max_seconds
+
+
+def test_jobs_wait_in_order_until_a_worker_comes(farm: Farm, scene: SceneRecord) -> None:
+    first = farm.submit(scene.digest, TINY, TWO_CHUNKS)
+    second = farm.submit(scene.digest, TINY, TWO_CHUNKS)
+    urgent = farm.submit(scene.digest, TINY, TWO_CHUNKS, priority=5)
+    assert [job.queue_position for job in farm.jobs()] == [1, 3, 2]
+    assert [job.id for job in farm.jobs(2)] == [urgent.id, second.id]
+    cancelled = farm.cancel(first.id)
+    assert cancelled is not None
+    assert (cancelled.state, cancelled.started) == ("cancelled", None)
+    assert farm.cancel(first.id) == farm.job(first.id)
+    assert farm.cancel("nobody") is None
+    assert farm.image(first.id) is None
+    assert farm.pixels(first.id) is None
+
+
+def test_a_job_from_submit_to_the_final_image(farm: Farm, scene: SceneRecord, hire: Hire, tmp_path: Path) -> None:
+    hire()
+    job = farm.submit(scene.digest, TINY, TWO_CHUNKS)
+
+    async def listen() -> list[Event]:
+        return [event async for event in farm.follow(job.id)]
+
+    events = asyncio.run(asyncio.wait_for(listen(), 60))
+    assert [event.id for event in events] == list(range(1, len(events) + 1))
+    assert [event.data["state"] for event in events if event.type == "state"] == ["queued", "rendering", "completed"]
+    assert [event.data["revision"] for event in events if event.type == "image"] == [1, 2]
+    ended = finished(farm, job.id)
+    assert (ended.state, ended.samples_done, ended.chunks_done, ended.image_revision) == ("completed", 2048, 2, 2)
+    assert ended.relative_error is not None
+    assert ended.relative_error > 0
+    assert ended.finished is not None
+
+    image = farm.image(job.id)
+    assert image is not None
+    assert image.revision == 2
+    path = tmp_path / "image.exr"
+    path.write_bytes(image.data)
+    parts, attributes = read_exr(path)
+    assert set(parts) == {"image", "standard error"}
+    assert attributes["samples"] == 2048
+    assert attributes["chunks"] == "0-1"
+    assert attributes["integrator"] == "mi_path"
+    assert attributes["renderDigest"] == job.digest
+    assert attributes["version:mitsuba"] == "3.9.1"
+    pixels = farm.pixels(job.id)
+    assert pixels is not None
+    assert pixels[0] == 2
+    np.testing.assert_array_equal(pixels[1], parts["image"])
+    assert pixels[1].mean() > 0
+    assert pixels[2].max() > 0
+
+    async def listen_late() -> list[Event]:
+        return [event async for event in farm.follow(job.id, events[-2].id)]
+
+    assert asyncio.run(asyncio.wait_for(listen_late(), 10)) == events[-1:]
+    assert farm.events(job.id, events[-2].id) == events[-1:]
+
+    # The same digest again: every chunk is there, nothing is rendered, the image is the same one.
+    again = finished(farm, farm.submit(scene.digest, TINY, TWO_CHUNKS).id, 10)
+    same = farm.image(again.id)
+    assert again.digest == job.digest
+    assert same is not None
+    assert (same.key, same.data) == (image.key, image.data)
+    more = finished(farm, farm.submit(scene.digest, TINY, StopCriterion(samples=4096)).id)
+    assert more.chunks_done == 3
+
+
+def test_cancel_keeps_all_that_was_rendered(farm: Farm, scene: SceneRecord, hire: Hire) -> None:
+    hire()
+    job = farm.submit(scene.digest, TINY, StopCriterion(samples=2**20))
+    wait_for(lambda: (seen := farm.job(job.id)) is not None and seen.chunks_done >= 2, 60)
+    cancelled = farm.cancel(job.id)
+    assert cancelled is not None
+    assert cancelled.state == "cancelled"
+    assert farm.cancel(job.id) is not None
+
+    def published() -> bool:
+        image, seen = farm.image(job.id), farm.job(job.id)
+        events = farm.events(job.id)
+        shown = [event.data["samples"] for event in events if event.type == "image"]
+        return image is not None and seen is not None and shown[-1] == seen.samples_done
+
+    wait_for(published, 20)
+    time.sleep(1.0)
+    ended = farm.job(job.id)
+    assert ended is not None
+    assert (ended.state, ended.chunks_running) == ("cancelled", 0)
+    assert ended.chunks_done >= cancelled.chunks_done
+
+
+def test_seconds_end_a_job_near_its_time(farm: Farm, scene: SceneRecord, hire: Hire) -> None:
+    hire()
+    ended = finished(farm, farm.submit(scene.digest, TINY, StopCriterion(seconds=4)).id)
+    assert ended.state == "completed"
+    assert ended.image_revision >= 1
+    assert ended.started is not None
+    assert ended.finished is not None
+    assert ended.finished - ended.started < 12  # a loaded machine may be late, a forgotten limit never ends
+
+
+def test_jobs_at_once_share_one_context_and_the_chunks(
+    farm: Farm, parts: Parts, scene: SceneRecord, hire: Hire
+) -> None:
+    hire()
+    with ThreadPoolExecutor(3) as pool:
+        jobs = list(pool.map(lambda _: farm.submit(scene.digest, GUIDED, StopCriterion(samples=256)), range(3)))
+    other = farm.submit(scene.digest, GUIDED.model_copy(update={"seed": 1}), StopCriterion(samples=256))
+    assert {job.context_digest for job in [*jobs, other]} == {jobs[0].context_digest}
+    assert len({job.digest for job in [*jobs, other]}) == 2
+    ended = [finished(farm, job.id) for job in [*jobs, other]]
+    assert [job.state for job in ended] == 4 * ["completed"]
+    assert [job.context_hit for job in ended] == 4 * [False]
+    assert len({image.key for job in jobs if (image := farm.image(job.id))}) == 1
+    tokens = parts.redis.get("elps:token")  # one for each start of a piece of work
+    record = farm.context(jobs[0].context_digest or "")
+    assert record is not None
+    assert (record.state, record.progress) == ("ready", 1.0)
+    chunks = len(parts.store.keys("chunks"))
+    assert int(str(tokens)) <= 8 + chunks + 2  # eight steps; a spare for what shares were offered and not needed
+    assert "preparing" in [event.data.get("state") for event in farm.events(jobs[0].id)]
+    assert {event.data["state"] for event in farm.events(other.id) if event.type == "context"} >= {"ready"}
+
+    late = farm.submit(scene.digest, GUIDED.model_copy(update={"seed": 2}), StopCriterion(samples=256))
+    assert late.context_hit is True
+    assert finished(farm, late.id).seconds_context == 0.0
+    adjoint = farm.adjoint(late.context_digest or "")
+    assert adjoint is not None
+    assert adjoint.ndim == 2
+    assert adjoint.sum() > 0
+    assert not [key for key in parts.store.keys("contexts") if key.count("/") > 1]  # no checkpoint is left
+
+
+def test_a_settings_error_of_the_renderer_reaches_the_user(farm: Farm, scene: SceneRecord, hire: Hire) -> None:
+    hire()
+    wrong = TINY.model_copy(update={"integrator": "mi_aov"})  # needs parameters that settings do not have
+    job = finished(farm, farm.submit(scene.digest, wrong, TWO_CHUNKS).id)
+    assert job.state == "failed"
+    assert job.message is not None
+    assert "\n" not in job.message
+    assert farm.job(farm.submit(scene.digest, TINY, TWO_CHUNKS).id) is not None
+
+
+def test_a_lost_redis_is_rebuilt_from_the_store(farm: Farm, parts: Parts, scene: SceneRecord, hire: Hire) -> None:
+    hire()
+    done = finished(farm, farm.submit(scene.digest, TINY, TWO_CHUNKS).id)
+    image = farm.image(done.id)
+    running = farm.submit(scene.digest, TINY, StopCriterion(samples=2**20))
+    wait_for(lambda: len(parts.store.keys("chunks")) >= 3, 60)
+    parts.redis.flushall()
+    wait_for(lambda: farm.job(running.id) is not None and farm.job(done.id) is not None, 20)
+    assert farm.image(done.id) == image
+    back = farm.job(done.id)
+    assert back is not None
+    assert (back.state, back.samples_done) == ("completed", 2048)
+    wait_for(lambda: (seen := farm.job(running.id)) is not None and seen.chunks_done >= 3, 30)
+    farm.cancel(running.id)
+
+
+def test_without_redis_everything_says_so(tmp_path: Path) -> None:
+    with EmbeddedServer() as gone:
+        settings = FarmSettings(redis_url=gone.url, store_url=(tmp_path / "store").as_uri())
+    farm = Farm.connect(settings)
+    assert not farm.ready()
+    for call in (lambda: farm.job("x"), farm.jobs, farm.workers, lambda: farm.cancel("x"), lambda: farm.image("x")):
+        with pytest.raises(FarmUnavailable, match="Redis"):
+            call()
+    farm.close()
+    with pytest.raises(SettingsRejected, match="REDIS_URL"):
+        Farm.connect(FarmSettings(redis_url="", store_url="memory:///"))
+    with pytest.raises(SettingsRejected, match="STORE_URL"):
+        Farm.connect(FarmSettings(redis_url=gone.url, store_url=""))
