@@ -140,8 +140,10 @@ def _render(
             (partials / f"{way}_{saved:04d}.exr").write_bytes(data)
 
     job = watch(client, job.id, console, save)
-    if job.state != "completed" or job.finished is None or job.relative_error is None:
-        raise ServiceError(f"the render {job.state}: {job.message or 'no error estimate'}")
+    if job.state != "completed" or job.finished is None:
+        raise ServiceError(f"the render {job.state}: {job.message}")
+    if job.relative_error is None:
+        raise ServiceError("the time was too short for an error estimate: give more --seconds")
     save()
     image = client.file(f"/v1/jobs/{job.id}/image.png", exposure=EXPOSURE)
     return Result(job, job.finished - job.created, image, client.file(f"/v1/jobs/{job.id}/error.png"))

@@ -125,9 +125,7 @@ class Problem(HTTPException):
         }
         if self.errors is not None:
             document["errors"] = [error.model_dump() for error in self.errors]
-        # ASCII, because a lone surrogate in a field name has no UTF-8 form.
-        body = json.dumps(document, ensure_ascii=True).encode("ascii")
-        return Response(body, known.status, headers=self.headers, media_type=MEDIA_TYPE)
+        return Response(json.dumps(document), known.status, headers=self.headers, media_type=MEDIA_TYPE)
 
 
 def one_line(text: str, limit: int = MAX_TEXT) -> str:

@@ -122,7 +122,8 @@ class Farm:
             raise SceneRejected("no such scene: upload it first")
         size = self._checked_size(SceneSummary.model_validate(record.summary), settings)
         context = context_digest(scene, settings.sensor, size, settings.context) if settings.needs_context else None
-        hit = None if context is None else self._json("contexts", context) is not None
+        known = None if context is None else self.context(context)
+        hit = None if context is None else known is not None and known.state == "ready"
         job = Job(
             id=secrets.token_hex(8),
             revision=1,
@@ -136,17 +137,15 @@ class Farm:
             height=size[1],
             context_digest=context,
             context_hit=hit,
-            context_state=None if hit is None else "ready" if hit else "missing",
-            context_progress=1.0 if hit else 0.0,
+            context_state=None if context is None else "missing" if known is None else known.state,
+            context_progress=0.0 if known is None else known.progress,
             digest=render_digest(scene, settings, size),
         )
         entry = JobEntry(job=job, touched=job.created)
         self._parts.record(entry)
         self._parts.list_chunks(job.digest)
         if hit is False:
-            known = self._parts.state.context(context or "")
-            if known is None or known.state == "ready":  # ready, and gone from the store since
-                self._parts.state.set_context(missing_context(job))
+            self._parts.state.name_context(missing_context(job))
         self._parts.state.create(entry)
         self._parts.queue.settle(job)
         return self.job(job.id) or job
@@ -230,9 +229,12 @@ class Farm:
 
     @_answering()
     def context(self, digest: str) -> ContextRecord | None:
-        """A context that some job named."""
+        """A context that some job named. Ready means that its file is in the store."""
         data = self._json("contexts", digest)
-        return self._parts.state.context(digest) if data is None else ContextRecord.model_validate_json(data)
+        if data is not None:
+            return ContextRecord.model_validate_json(data)
+        record = self._parts.state.context(digest)
+        return None if record is None or record.state == "ready" else record
 
     def context_file(self, digest: str) -> bytes | None:
         """The file of a ready context (safetensors)."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import threading
 import time
+from pathlib import Path
 
 LOOK_SECONDS = 0.5
 """How often a process looks whether its parent is still there."""
@@ -13,11 +15,11 @@ GRACE_SECONDS = 20.0
 """Time that an orphan gets to finish its chunk before it is killed; a chunk takes 2 to 10 seconds."""
 
 
-def end_with_parent(parent: int, *, gently: bool = False) -> None:
+def end_with_parent(parent: int, *, gently: bool = False, folder: Path | None = None) -> None:
     """End this process once ``parent`` is no longer its parent, by whatever signal that died.
 
     At once, for whoever would work on for nobody; or ``gently``: SIGTERM first, and SIGKILL after
-    :data:`GRACE_SECONDS`.
+    :data:`GRACE_SECONDS`. ``folder`` is removed before that.
     """
 
     def watch() -> None:
@@ -26,6 +28,8 @@ def end_with_parent(parent: int, *, gently: bool = False) -> None:
         if gently:
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(GRACE_SECONDS)
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
         os.kill(os.getpid(), signal.SIGKILL)
 
     threading.Thread(target=watch, name="parent", daemon=True).start()

@@ -7,14 +7,17 @@ import secrets
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
+from pathlib import Path
 from typing import get_args
 
 import structlog
 from celery import signals
 from celery.exceptions import SecurityWarning
 
+from elps_core.errors import ElpsError
 from elps_core.settings import Variant
 from worker.lifetime import end_with_parent
 from worker.models import WorkerInfo
@@ -41,11 +44,20 @@ def run(settings: FarmSettings) -> int:
     # Celery warns that a worker of root's could be made to unpickle things: ours takes JSON only.
     warnings.filterwarnings("ignore", category=SecurityWarning)
     structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
+    with tempfile.TemporaryDirectory(prefix="elps-worker-", ignore_cleanup_errors=True) as folder:
+        tempfile.tempdir = folder  # for Celery's own files as well, so that one folder is all that can be left
+        try:
+            return _work(settings, Path(folder))
+        finally:
+            tempfile.tempdir = None
+
+
+def _work(settings: FarmSettings, folder: Path) -> int:
     parts = Parts(settings)
     name = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}"
     app = make_app(parts.redis_url)
     app.conf.update(task_time_limit=settings.stall_seconds, worker_proc_alive_timeout=START_SECONDS)
-    register(app, lambda: Child(Parts(settings), name))
+    register(app, lambda: Child(Parts(settings), name), folder)
     variants = [variant for variant in get_args(Variant) if variant.startswith(settings.device)]
     info = WorkerInfo(name=name, device=settings.device, variants=variants, busy=False, last_seen=time.time())
     sweeper = Sweeper(parts, info)
@@ -96,4 +108,7 @@ def _leave_logging(**_: object) -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == [PARENT]:
         end_with_parent(int(sys.argv[2]), gently=True)
-    sys.exit(run(FarmSettings()))
+    try:
+        sys.exit(run(FarmSettings()))
+    except ElpsError as error:
+        sys.exit(str(error))

@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple, cast
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 from redis import Redis
 from redis.client import Pipeline
 from redis.exceptions import WatchError
@@ -140,13 +140,13 @@ class State:
     def entry(self, id: str) -> JobEntry | None:  # noqa: A002
         """One job, or None."""
         text = cast("str | None", self.redis.get(_key("job", id)))
-        return None if text is None else JobEntry.model_validate_json(text)
+        return _parsed(text)
 
     def entries(self, ids: Iterable[str]) -> list[JobEntry]:
         """The jobs among ``ids`` that exist, in their order."""
         keys = [_key("job", id) for id in ids]  # noqa: A001
         texts = cast("list[str | None]", self.redis.mget(keys)) if keys else []
-        return [JobEntry.model_validate_json(text) for text in texts if text is not None]
+        return [entry for text in texts if (entry := _parsed(text)) is not None]
 
     def change(self, id: str, step: Callable[[JobEntry], Change | None]) -> JobEntry | None:  # noqa: A002
         """Apply ``step`` to a job; it may run several times and must be pure.
@@ -158,7 +158,7 @@ class State:
 
         def transact(pipe: Pipeline) -> None:
             text = cast("str | None", pipe.get(_key("job", id)))
-            outcome[0] = before = None if text is None else JobEntry.model_validate_json(text)
+            outcome[0] = before = _parsed(text)
             change = None if before is None else step(before)
             pipe.multi()
             if before is None or change is None:
@@ -243,6 +243,13 @@ class State:
         text = cast("str | None", self.redis.get(_key("context", digest)))
         return None if text is None else ContextRecord.model_validate_json(text)
 
+    def name_context(self, missing: ContextRecord) -> None:
+        """Make a context known that the store does not have, unless it is known as being built or failed."""
+        known = self.context(missing.digest)
+        if known is not None and known.state == "ready":  # and is gone from the store since
+            self.redis.delete(_key("context", missing.digest))
+        self.redis.set(_key("context", missing.digest), missing.model_dump_json(), nx=True)
+
     def set_context(self, record: ContextRecord) -> None:
         """Write a context's record and tell every job that waits for it."""
         self.redis.set(_key("context", record.digest), record.model_dump_json())
@@ -322,6 +329,14 @@ def parse_event(number: str, fields: dict[str, str]) -> Event:
 
 def _key(*parts: str) -> str:
     return PREFIX + ":".join(parts)
+
+
+def _parsed(text: str | None) -> JobEntry | None:
+    """A job's record; one that another version of the program wrote and this one cannot read is none."""
+    try:
+        return None if text is None else JobEntry.model_validate_json(text)
+    except ValidationError:
+        return None
 
 
 def _memberships(job: Job) -> list[str]:

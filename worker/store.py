@@ -72,6 +72,9 @@ class Store:
     def put(self, key: str, data: bytes) -> bool:
         """Write ``data`` whole unless ``key`` exists; True where this call wrote it. Atomic.
 
+        An answer of S3 that got lost makes the writer itself find the key there: False is no proof of
+        another writer.
+
         Raises:
             StoreFull, StoreUnavailable: nothing was written.
         """

@@ -51,6 +51,8 @@ class Sweeper(threading.Thread):
                     self.sweep()
             except (RedisError, FarmUnavailable) as error:
                 log.warning("sweep interrupted", reason=type(error).__name__)
+            except Exception:  # the thread must live as long as the worker: without it nothing is recovered
+                log.exception("sweep failed")
 
     def stop(self) -> None:
         """End the thread and take the worker off the list."""

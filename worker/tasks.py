@@ -6,12 +6,16 @@ All of it runs in the child that Celery forks, one task at a time.
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 import time
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import structlog
 from celery import Celery, signals
+from pydantic import ValidationError
 
 from elps_core.errors import DeviceUnavailable, ElpsError
 from worker.advance import worth_starting
@@ -38,6 +42,7 @@ class Child:
     """The tasks of one rendering process."""
 
     def __init__(self, parts: Parts, worker: str) -> None:
+        """``worker`` is the name of the worker."""
         self._parts = parts
         self._worker = worker
         self.warm = Warm(parts.store)
@@ -100,15 +105,14 @@ class Child:
             data = self._parts.store.get(f"jobs/{id}/{last}")
             if data is None:
                 continue
-            entry = JobEntry.model_validate_json(data).model_copy(update={"events": 0})
+            try:
+                entry = JobEntry.model_validate_json(data).model_copy(update={"events": 0})
+            except ValidationError:
+                log.warning("job of another version left out", job=id)
+                continue
             self._parts.list_chunks(entry.job.digest)
             self._parts.state.create(entry)
             self.settle(id)
-
-    def close(self) -> None:
-        """Give everything back."""
-        self.warm.close()
-        self._parts.close()
 
     def _step(self, job: Job, digest: str, done: int) -> None:
         state, store = self._parts.state, self._parts.store
@@ -198,16 +202,28 @@ def _in_time(entry: JobEntry, index: int) -> bool:
     return worth_starting(entry, schedule(entry.job)(index), time.time())
 
 
-def register(app: Celery, make_child: Callable[[], Child]) -> None:
-    """Add the tasks to ``app``, in the process that will fork; ``make_child`` is called once in each that runs them."""
+def register(app: Celery, make_child: Callable[[], Child], folder: Path) -> None:
+    """Add the tasks to ``app``, in the process that will fork.
+
+    ``make_child`` is called once in each process that runs them; ``folder`` holds the worker's temporary files.
+    """
     child = cache(make_child)
     parent = os.getpid()
 
     def prepare(**_: object) -> None:
-        end_with_parent(parent)
+        end_with_parent(parent, folder=folder)
+        own = folder / "child"
+        shutil.rmtree(own, ignore_errors=True)  # of a process before us that was killed
+        own.mkdir()
+        tempfile.tempdir = str(own)
         child().prepare()
 
+    def end(**_: object) -> None:
+        if os.getppid() != parent:  # the broken pipe was quicker than the look at the parent
+            shutil.rmtree(folder, ignore_errors=True)
+
     signals.worker_process_init.connect(prepare, weak=False)
+    signals.worker_process_shutdown.connect(end, weak=False)
 
     @app.task(name="elps.settle")  # type: ignore[untyped-decorator]
     def settle(job: str) -> None:

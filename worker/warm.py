@@ -58,7 +58,6 @@ class Warm:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._folder = tempfile.TemporaryDirectory(prefix="elps-worker-")
         self._scenes: Recent[tuple[object, ...], LoadedScene] = Recent(SCENES_KEPT)
         self._renderers: Recent[str, Renderer] = Recent(SCENES_KEPT)
         self._builders: Recent[str, ContextBuilder] = Recent(SCENES_KEPT)
@@ -114,10 +113,6 @@ class Warm:
         """Give back the memory of a job's merged image."""
         self._accumulations.forget(job.id)
 
-    def close(self) -> None:
-        """Remove the temporary files."""
-        self._folder.cleanup()
-
     def _scene(self, job: Job) -> LoadedScene:
         size = (job.width, job.height)
         key = (job.scene, job.settings.variant, job.settings.sensor, size)
@@ -128,7 +123,7 @@ class Warm:
         from elps_core.scene.loader import load_scene
 
         own = job.settings.width is None
-        with tempfile.TemporaryDirectory(dir=self._folder.name) as folder:
+        with tempfile.TemporaryDirectory() as folder:
             for suffix in (".zip", ".xml"):
                 upload = self._store.fetch(f"scenes/{name(job.scene)}{suffix}", Path(folder))
                 if upload is not None:
@@ -140,7 +135,7 @@ class Warm:
     def _context(self, digest: str | None) -> GlobalContext | None:
         if digest is None:
             return None
-        path = self._store.fetch(f"contexts/{name(digest)}.safetensors", Path(self._folder.name))
+        path = self._store.fetch(f"contexts/{name(digest)}.safetensors", Path(tempfile.gettempdir()))
         if path is None:
             raise RenderFailed("the context is no longer in the store: submit the job again")
         return load(path)

@@ -261,6 +261,8 @@ def _check_overlap(file: BinaryIO, infos: list[zipfile.ZipInfo], directory_at: i
     """Refuse entries that share bytes: one packed block unpacked a thousand times (bpo, CVE-2024-0450)."""
     spans = sorted((info.header_offset, info.compress_size) for info in infos)
     ends = [start for start, _ in spans[1:]] + [directory_at]
+    if spans and spans[0][0] < 0:
+        raise zipfile.BadZipFile
     for (start, packed), end in zip(spans, ends, strict=True):
         file.seek(start)
         signature, name_bytes, extra_bytes = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))

@@ -61,7 +61,7 @@ def main(
 def run(*arguments: str) -> str:
     """Run ``elps``; returns the last line of its output."""
     done = subprocess.run(
-        [str(ELPS), *arguments], check=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [str(ELPS), *arguments], check=True, capture_output=True, text=True
     )
     return (done.stdout.strip().splitlines() or [""])[-1]
 
@@ -140,9 +140,10 @@ def efficiency(folder: Path, seconds: float, reference_seconds: float) -> list[s
     lines = [
         "## The adjoint image",
         "",
-        f"Maze of 3x3 rooms, {SIZE}, depth 16, {seconds:.0f} s a render with loading, compilation and the context counted;",
-        f"{RUNS} runs each, in turns. relMSE against a reference of {made['spp']} samples per pixel by another seed, trimmed:",
-        f"without the worst {TRIM:.0%} of the pixels. Efficiency is 1 / (relMSE seconds), here over that of bdpt with power.",
+        f"Maze of 3x3 rooms, {SIZE}, depth 16, {seconds:.0f} s a render with loading, compilation and the context",
+        f"counted; {RUNS} runs each, in turns. relMSE is taken against {made['spp']} samples per pixel by another seed;",
+        f"trimmed means without the worst {TRIM:.0%} of the pixels. Efficiency is 1 / (relMSE seconds), here over that",
+        "of bdpt with power.",
         "",
         "| | samples per pixel | relMSE | efficiency | range over runs | efficiency, trimmed |",
         "|---|---|---|---|---|---|",

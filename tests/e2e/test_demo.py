@@ -11,9 +11,12 @@ from PIL import Image
 
 from tests.e2e.processes import ELPS, assert_gone, descendants, elps
 
+SECONDS = "10"
+"""Two chunks, which an error estimate needs, take 4 s on two idle cores."""
+
 
 def test_demo(tmp_path: Path) -> None:
-    done = elps("demo", "--out", tmp_path / "out", "--seconds", "5")
+    done = elps("demo", "--out", tmp_path / "out", "--seconds", SECONDS)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "times as efficient as by" in done.stdout
     partials = {path.name for path in (tmp_path / "out" / "partials").iterdir()}

@@ -81,9 +81,20 @@ def scene(farm: Farm, tmp_path: Path, checked: tuple[Path, str]) -> SceneRecord:
 
 
 @pytest.fixture
-def hire(settings: FarmSettings, farm: Farm) -> Iterator[Callable[[], subprocess.Popen[bytes]]]:
+def temporary(tmp_path: Path) -> Path:
+    """Where workers put their temporary files."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def hire(
+    settings: FarmSettings, farm: Farm, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[[], subprocess.Popen[bytes]]]:
     """Start workers; each call returns once the new one is on the farm's list."""
     hired: list[subprocess.Popen[bytes]] = []
+    monkeypatch.setenv("TMPDIR", str(temporary))
 
     def one_more() -> subprocess.Popen[bytes]:
         known = {info.name for info in farm.workers()}

@@ -20,7 +20,8 @@ from worker.farm import Farm
 from worker.leases import Work
 from worker.models import Job, SceneRecord
 from worker.parts import Parts
-from worker.run import stop_process
+from worker.run import start_process, stop_process
+from worker.settings import FarmSettings
 from worker.tasks import GIVEN_UP
 
 Hire = Callable[[], subprocess.Popen[bytes]]
@@ -78,7 +79,7 @@ def test_a_child_killed_in_the_middle_of_a_chunk(
 
 
 def test_a_whole_worker_killed_in_the_middle_of_a_chunk(
-    farm: Farm, parts: Parts, scene: SceneRecord, upload: Path, hire: Hire
+    farm: Farm, parts: Parts, scene: SceneRecord, upload: Path, hire: Hire, temporary: Path
 ) -> None:
     workers = [hire(), hire()]
     names = {info.name: worker for info in farm.workers() for worker in workers if f"-{worker.pid}-" in info.name}
@@ -93,6 +94,7 @@ def test_a_whole_worker_killed_in_the_middle_of_a_chunk(
     assert time.monotonic() - begin < 20
     assert ended.state == "completed"
     wait_for(lambda: not any(Path(f"/proc/{child}").exists() for child in orphans), 5)
+    wait_for(lambda: len(list(temporary.iterdir())) == 1, 5)  # of the worker that lives
     check_image(farm, ended, undisturbed(upload, LONG, 3))
 
 
@@ -148,7 +150,9 @@ def test_work_whose_message_was_lost_is_sent_again(farm: Farm, parts: Parts, sce
     assert finished(farm, job.id, 30).state == "completed"
 
 
-def test_sigterm_finishes_the_chunk_and_leaves_nobody(farm: Farm, parts: Parts, scene: SceneRecord, hire: Hire) -> None:
+def test_sigterm_finishes_the_chunk_and_leaves_nothing(
+    farm: Farm, parts: Parts, scene: SceneRecord, hire: Hire, temporary: Path
+) -> None:
     worker = hire()
     job = farm.submit(scene.digest, LONG, StopCriterion(samples=2**20))
     wait_for(lambda: running(parts, "chunk", 1), 60)
@@ -159,7 +163,18 @@ def test_sigterm_finishes_the_chunk_and_leaves_nobody(farm: Farm, parts: Parts, 
     assert Work("chunk", job.digest, 1) not in parts.board.in_flight()
     assert parts.board.running() == {}
     assert farm.workers() == []
+    assert list(temporary.iterdir()) == []
     seen = farm.job(job.id)
     assert seen is not None
     assert seen.chunks_done >= 2
     farm.cancel(job.id)
+
+
+def test_a_renderer_that_hangs_is_given_up(farm: Farm, scene: SceneRecord, settings: FarmSettings) -> None:
+    """A chunk that takes longer than a worker's patience looks the same."""
+    worker = start_process(settings.model_copy(update={"stall_seconds": 0.5}))
+    large = RenderSettings(integrator="mi_path", width=1024, height=1024, max_depth=64)
+    ended = finished(farm, farm.submit(scene.digest, large, StopCriterion(samples=1)).id, 40)
+    worker.kill()
+    worker.wait()
+    assert (ended.state, ended.message) == ("failed", GIVEN_UP)

@@ -159,3 +159,12 @@ def test_a_broken_change_leaves_no_trace(state: State) -> None:
     entry = state.entry("a")
     assert entry is not None
     assert entry.job.revision == 1
+
+
+def test_a_record_of_another_version_is_left_out(state: State, parts: Parts) -> None:
+    state.create(make("a"))
+    state.create(make("b"))
+    parts.redis.set("elps:job:a", '{"job": {"id": "a", "a field that is gone": 1}}')
+    assert [entry.job.id for entry in state.newest(9)] == ["b"]
+    assert state.entry("a") is None
+    assert state.enter("a", "cancelled") is None

@@ -81,8 +81,15 @@ def test_fetch_gives_a_file_with_the_bytes(store: Store, tmp_path: Path) -> None
     assert store.fetch("contexts/d.safetensors", tmp_path) is None
 
 
+def test_a_large_artefact_is_not_overwritten_either(store: Store) -> None:
+    # Larger than a part of a multipart upload, which would ignore what is there.
+    assert store.put("chunks/large", bytes(6_000_000))
+    assert not store.put("chunks/large", b"x" * 6_000_000)
+    assert store.get("chunks/large") == bytes(6_000_000)
+
+
+@pytest.mark.parametrize("store", ["file", "memory"], indirect=True)  # moto itself is not atomic
 def test_of_eight_writers_at_once_one_wins(store: Store) -> None:
-    # Larger than a part of a multipart upload, which would let every writer win.
     contents = [bytes([number]) * 6_000_000 for number in range(8)]
     with ThreadPoolExecutor(8) as pool:
         won = list(pool.map(lambda content: store.put("chunks/race", content), contents))

@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from elps_core.scene.generate.common import SceneDescription, write
+from elps_core.scene.generate.cornell import cornell
+from elps_core.scene.generate.door import door
 from elps_core.scene.generate.maze import maze
+from elps_core.scene.generate.sphere import sphere
 
-GENERATORS: dict[str, Callable[..., SceneDescription]] = {"maze": maze}
+GENERATORS: dict[str, Callable[..., SceneDescription]] = {
+    "maze": maze,
+    "door": door,
+    "cornell": cornell,
+    "sphere": sphere,
+}
 """Every scene by the name that the command line gives it."""
 
-__all__ = ["GENERATORS", "SceneDescription", "maze", "write"]
+__all__ = ["GENERATORS", "SceneDescription", "cornell", "door", "maze", "sphere", "write"]

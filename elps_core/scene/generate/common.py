@@ -73,7 +73,7 @@ def write(scene: SceneDescription, output: Path) -> None:
 
 def generator(function: Callable[P, SceneDescription]) -> Callable[P, SceneDescription]:
     """Check the arguments against the annotations; one line of :class:`SettingsRejected` where they fail."""
-    checked = validate_call(function, config=ConfigDict(allow_inf_nan=False))
+    checked: Callable[P, SceneDescription] = validate_call(config=ConfigDict(allow_inf_nan=False))(function)
 
     @functools.wraps(function)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> SceneDescription:

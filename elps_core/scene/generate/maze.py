@@ -5,6 +5,7 @@ from __future__ import annotations
 import string
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from elps_core.scene.generate.common import Pixels, SceneBuilder, SceneDescription, generator
@@ -33,8 +34,20 @@ WALL_COLORS = {
     "teal": (0.13, 0.45, 0.47),
     "ochre": (0.75, 0.52, 0.16),
 }
-VASE = ((0.0, 0.0), (0.16, 0.0), (0.17, 0.02), (0.25, 0.22), (0.24, 0.40), (0.12, 0.60), (0.09, 0.70), (0.15, 0.80))
-"""Outline (radius, height) of the vase, metres."""
+VASE = (
+    (0.0, 0.0), (0.16, 0.0), (0.17, 0.02), (0.25, 0.22), (0.24, 0.40), (0.12, 0.60), (0.09, 0.70), (0.15, 0.80),
+    (0.14, 0.80), (0.08, 0.70), (0.11, 0.60), (0.0, 0.55),
+)  # fmt: skip
+"""Outline (radius, height) of the vase, outside and then inside, metres."""
+VASE_PLACE = (2.2, 3.25)
+SLAB_HALF, SLAB_HEIGHT = 0.55, 0.35
+SLAB_PLACE = (1.95, 2.05)
+"""Places in the camera's room, metres from its south-west corner."""
+SPHERE_RADIUS = 0.42
+CAMERA_PLACE = (3.7, 0.3, 1.6)
+CAMERA_TARGET = (1.85, 2.15, 0.95)
+LATHE_SEGMENTS = 64
+CURVE_STEPS = 8
 
 
 def label(index: int) -> str:
@@ -69,8 +82,8 @@ def maze(rooms: Annotated[int, Field(ge=1, le=16)] = 3, width: Pixels = 512, hei
         for column in range(rooms)
     }
     scene = SceneBuilder()
-    for name, color in WALL_COLORS.items():
-        scene.diffuse(name, color)
+    for name, reflectance in WALL_COLORS.items():
+        scene.diffuse(name, reflectance)
     white = scene.diffuse("white", (0.80, 0.79, 0.76))
     walls: dict[str, list[Mesh]] = {}
     ceilings: list[Mesh] = []
@@ -121,13 +134,13 @@ def _opening(low: float, walls_from_camera: int) -> Opening:
 
 
 def _still_life(scene: SceneBuilder, room: Room, size: tuple[int, int]) -> None:
-    x, y = room.low[0] + 1.95, room.low[1] + 2.05
-    scene.mesh(
-        "slab",
-        box((-0.55, -0.55, 0), (0.55, 0.55, 0.35)).turned(20).moved((x, y, 0)),
-        scene.diffuse("blue", (0.07, 0.16, 0.55)),
+    corner = np.array([*room.low, 0.0])
+    place = np.add(corner, (*SLAB_PLACE, 0.0))
+    slab = box((-SLAB_HALF, -SLAB_HALF, 0.0), (SLAB_HALF, SLAB_HALF, SLAB_HEIGHT)).turned(20.0)
+    scene.mesh("slab", slab.moved(place), scene.diffuse("blue", (0.07, 0.16, 0.55)))
+    scene.sphere(
+        "glass_sphere", np.add(place, (0.0, 0.0, SLAB_HEIGHT + SPHERE_RADIUS)), SPHERE_RADIUS, scene.glass("glass")
     )
-    scene.sphere("glass_sphere", (x, y, 0.35 + 0.42), 0.42, scene.glass("glass"))
-    vase = lathe(smooth(VASE, 8), 64).moved((room.low[0] + 0.75, room.high[1] - 0.75, 0))
+    vase = lathe(smooth(VASE, CURVE_STEPS), LATHE_SEGMENTS).moved(np.add(corner, (*VASE_PLACE, 0.0)))
     scene.mesh("vase", vase, scene.metal("gold", "Au", 0.15), flat=False)
-    scene.camera((room.high[0] - 0.3, room.low[1] + 0.3, 1.6), (x - 0.1, y + 0.1, 0.95), fov=58.0, size=size)
+    scene.camera(np.add(corner, CAMERA_PLACE), np.add(corner, CAMERA_TARGET), fov=58.0, size=size)

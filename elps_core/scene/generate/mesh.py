@@ -106,17 +106,19 @@ def tube(path: ArrayLike, radii: ArrayLike, side: ArrayLike, segments: int) -> M
 def lathe(profile: Sequence[tuple[float, float]], segments: int) -> Mesh:
     """The (radius, height) ``profile``, from bottom to top, turned about the z axis; front outside."""
     angles = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
-    rings = [np.stack([r * np.cos(angles), r * np.sin(angles), np.full(segments, h)], axis=-1) for r, h in profile]
+    # A curve through points on the axis may overshoot it.
+    turned = [(max(radius, 0.0), height) for radius, height in profile]
+    rings = [np.stack([r * np.cos(angles), r * np.sin(angles), np.full(segments, h)], axis=-1) for r, h in turned]
     return Mesh(np.concatenate(rings), grid(len(profile), segments, closed=True))
 
 
 def smooth(profile: Sequence[tuple[float, float]], steps: int) -> list[tuple[float, float]]:
-    """A Catmull-Rom curve through the points of a profile, ``steps`` points to each span."""
+    """A Catmull-Rom curve through points in a plane, ``steps`` points to each span."""
     points = np.asarray(profile, dtype=np.float64)
     padded = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
     curve: list[tuple[float, float]] = []
     for a, b, c, d in zip(padded, padded[1:], padded[2:], padded[3:], strict=False):
         for t in np.arange(steps) / steps:
             x, y = b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a)))
-            curve.append((max(float(x), 0.0), float(y)))
+            curve.append((float(x), float(y)))
     return [*curve, (float(points[-1, 0]), float(points[-1, 1]))]

@@ -241,7 +241,11 @@ def test_limits_hold(tmp_path: Path, reject: Reject) -> None:
         assert unpack(upload, tmp_path / f"ok{index}").exists()
 
 
-def test_a_million_entries_are_refused_before_they_are_read(tmp_path: Path, reject: Reject) -> None:
+def test_a_million_entries_are_refused_before_they_are_read(
+    tmp_path: Path, reject: Reject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The zip reader makes an object of a kilobyte of each: it must not be asked."""
+    monkeypatch.setattr(zipfile, "ZipFile", lambda *_: pytest.fail("the directory was read"))
     entry = b"PK\x01\x02" + bytes(42)
     count = 300_000
     end = struct.pack("<4s4H2IH", b"PK\x05\x06", 0, 0, count & 0xFFFF, count & 0xFFFF, len(entry) * count, 0, 0)
@@ -264,6 +268,14 @@ def test_overlapping_entries_are_refused(tmp_path: Path, reject: Reject) -> None
     (tmp_path / "a.zip").write_bytes(data[:start] + entries + end)
     assert block.header_offset > 0
     assert "overlapping" in refused(tmp_path / "a.zip", tmp_path, reject)
+
+
+def test_an_entry_before_the_start_of_the_file_is_refused(tmp_path: Path, reject: Reject) -> None:
+    data = bytearray(zip_of(tmp_path / "a.zip", {"scene.xml": XML}).read_bytes())
+    at = data.index(b"PK\x05\x06") + 16
+    struct.pack_into("<I", data, at, struct.unpack_from("<I", data, at)[0] + 10)
+    (tmp_path / "a.zip").write_bytes(data)
+    assert "damaged" in refused(tmp_path / "a.zip", tmp_path, reject)
 
 
 @pytest.mark.parametrize(

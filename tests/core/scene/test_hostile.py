@@ -11,6 +11,8 @@ import textwrap
 import zlib
 from pathlib import Path
 
+import numpy as np
+import OpenImageIO
 import pytest
 
 from elps_core.scene import markup
@@ -230,6 +232,16 @@ def test_other_ways_to_name_a_file_are_refused(body: str, tmp_path: Path, reject
     assert "root:" not in reject(load, tmp_path, scene_xml(body), files)
 
 
+def test_a_refusal_does_not_tell_which_files_the_host_has(tmp_path: Path, reject: Reject) -> None:
+    (tmp_path / "there.obj").write_bytes(OBJ)
+    folder = tmp_path / "folder"
+    messages = set()
+    for name in ("there", "gone!"):
+        folder_of(folder, {"scene.xml": scene_xml(mesh("obj", f"../{name}.obj"))})
+        messages.add(reject(load_scene, folder, VARIANT).replace(name, ""))
+    assert len(messages) == 1
+
+
 def test_a_missing_mesh_is_named(tmp_path: Path, reject: Reject) -> None:
     message = reject(load, tmp_path, scene_xml("\n\n" + mesh("obj", "models/lamp.obj")))
     assert "models/lamp.obj" in message
@@ -317,6 +329,20 @@ def test_damaged_and_lying_files_are_refused(name: str, content: bytes, tmp_path
     assert "root:" not in message
 
 
+def test_damaged_exr_images_do_not_end_the_process(tmp_path: Path, reject: Reject) -> None:
+    """Mitsuba decodes them in threads of their own, where an error is fatal: several, so that one of them is."""
+    output = OpenImageIO.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert output is not None
+    assert output.open(str(tmp_path / "a.exr"), OpenImageIO.ImageSpec(64, 64, 3, "float"))
+    output.write_image(np.random.default_rng(1).random((64, 64, 3), dtype=np.float32))
+    output.close()
+    data = (tmp_path / "a.exr").read_bytes()
+    names = [f"{i}.exr" for i in range(8)]
+    xml = scene_xml("".join(texture(name) for name in names))
+    load(tmp_path, xml, dict.fromkeys(names, data))
+    assert "damaged" in reject(load, tmp_path, xml, dict.fromkeys(names, data[: len(data) * 2 // 3]))
+
+
 def test_a_mesh_inside_a_group_is_checked_as_well(tmp_path: Path, reject: Reject) -> None:
     group = (
         f'<shape type="shapegroup" id="g">{mesh("ply", "a.ply")}</shape><shape type="instance"><ref id="g"/></shape>'
@@ -342,64 +368,77 @@ def _chain(levels: int) -> str:
     return f'<bsdf type="diffuse" id="b0"/>{blends}'
 
 
+PLAIN = scene_xml()
+BLENDS_IN_A_ROW = '<bsdf type="diffuse" id="b0"/>' + "".join(
+    f'<bsdf type="twosided" id="b{i + 1}"><ref id="b{i}"/></bsdf>' for i in range(3000)
+)
+ENTITIES = (
+    b"<!DOCTYPE s [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;'><!ENTITY c '&b;&b;&b;&b;&b;&b;'>]>"
+)
+
+
 @pytest.mark.parametrize(
-    "xml",
+    ("word", "xml"),
     [
-        b"",
-        b"\0\0\0",
-        b"<scene",
-        b"<scene version='3.0.0'>",
-        b"<scene/>",
-        b"<scene version='1.0.0'/>",
-        b"<scene version='0.6.0'/>",
-        b"<bsdf version='3.0.0' type='diffuse'/>",
-        b"<scene version='3.0.0'/><scene version='3.0.0'/>",
-        b"<?xml version='1.0' encoding='nonsense'?><scene version='3.0.0'/>",
-        b"<?xml version='1.0' encoding='UTF-16'?><scene version='3.0.0'/>",
-        b"<!DOCTYPE scene><scene version='3.0.0'/>",
-        b"<!DOCTYPE scene SYSTEM 'file:///etc/passwd'><scene version='3.0.0'/>",
-        b"<!DOCTYPE s [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><scene version='3.0.0'>"
-        b"<string name='x' value='&a;'/></scene>",
-        b"<!DOCTYPE s [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;'><!ENTITY c '&b;&b;&b;&b;&b;&b;'>]>"
-        b"<scene version='3.0.0'><string name='x' value='&c;'/></scene>",
-        scene_xml("<bsdf type='twosided'>" * 100_000),
-        scene_xml("<bsdf type='twosided'>" * 40 + "</bsdf>" * 40),
-        scene_xml(_laughs(30)),
-        scene_xml('<default name="a" value="' + "x" * 100_000 + '"/><string name="x" value="' + "$a" * 100_000 + '"/>'),
-        scene_xml("".join(f'<default name="d{i}" value="1"/>' for i in range(1000))),
-        scene_xml('<float name="$undefined" value="1"/>'),
-        scene_xml('<default name="" value="1"/>'),
-        scene_xml("<default/>"),
-        scene_xml(_chain(40)),
-        scene_xml('<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>'),
-        scene_xml('<bsdf type="twosided" id="a"><ref id="a"/></bsdf>'),
-        scene_xml('<bsdf type="diffuse" id="b0"/>' + "".join(
-            f'<bsdf type="twosided" id="b{i + 1}"><ref id="b{i}"/></bsdf>' for i in range(3000)
-        )),
-        scene_xml('<ref id="nothing"/>'),
-        scene_xml("<ref/>"),
-        scene_xml('<bsdf type="diffuse" id="a"/><bsdf type="diffuse" id="a"/>'),
-        scene_xml('<bsdf type="diffuse" id="&#7;"/>'.replace("&#7;", "&#x202e;")),
-        scene_xml('<bsdf type="diffuse" id="' + "x" * 1000 + '"/>'),
-        scene_xml('<scene version="3.0.0"/>'),
-        scene_xml("<script>import os</script>"),
-        scene_xml('<python value="1"/>'),
-        scene_xml('<shape type="sphere" onload="1"/>'),
-        scene_xml('<matrix value="1 0 0 0 1 0 0 0 1"/>'),
-        scene_xml('<transform name="to_world"><float name="x" value="1"/></transform>'),
-        scene_xml('<float name="a"/>'),
-        scene_xml('<float value="1"/>'),
-        scene_xml('<shape type="sphere"><float name="radius" value="1"/><float name="radius" value="2"/></shape>'),
-        scene_xml('<shape type="sphere"><float name="nonsense" value="1"/></shape>'),
-        scene_xml('<shape type="sphere"><string name="radius" value="wide"/></shape>'),
-        scene_xml('<bsdf type="conductor" id="x"><string name="material" value="Unobtainium"/></bsdf>'),
-        scene_xml('<emitter type="point"/>' * 10_001),
-        scene_xml('<shape type="sphere"/>' * 200_001),
-        scene_xml(sensor=SENSOR * 300),
+        ("well-formed", b""),
+        ("well-formed", b"\0\0\0"),
+        ("well-formed", b"<scene"),
+        ("well-formed", b"<scene version='3.0.0'>"),
+        ("well-formed", PLAIN + PLAIN),
+        ("root element", PLAIN.replace(b'version="3.0.0"', b"")),
+        ("root element", PLAIN.replace(b"3.0.0", b"1.0.0")),
+        ("root element", PLAIN.replace(b"3.0.0", b"three")),
+        ("root element", b"<bsdf type='diffuse'/>"),
+        ("encoding", b"<?xml version='1.0' encoding='nonsense'?>" + PLAIN),
+        ("well-formed", b"<?xml version='1.0' encoding='UTF-16'?>" + PLAIN),
+        ("DOCTYPE", b"<!DOCTYPE scene>" + PLAIN),
+        ("DOCTYPE", b"<!DOCTYPE scene SYSTEM 'file:///etc/passwd'>" + PLAIN),
+        ("DOCTYPE", b"<!DOCTYPE s [<!ENTITY a SYSTEM 'file:///etc/passwd'>]>" + PLAIN.replace(b"45", b"&a;")),
+        ("DOCTYPE", ENTITIES + PLAIN.replace(b"45", b"&c;")),
+        ("deep", scene_xml("<bsdf type='twosided'>" * 100_000)),
+        ("deep", scene_xml("<bsdf type='twosided'>" * 40 + "</bsdf>" * 40)),
+        ("too long", scene_xml(_laughs(30))),
+        (
+            "too long",
+            scene_xml(f'<default name="a" value="{"x" * 100_000}"/><string name="x" value="{"$a" * 100_000}"/>'),
+        ),
+        ("parameters", scene_xml("".join(f'<default name="d{i}" value="1"/>' for i in range(1000)))),
+        ("no <default>", scene_xml('<float name="$undefined" value="1"/>')),
+        ("needs a value", scene_xml('<default name="" value="1"/>')),
+        ("needs a value", scene_xml("<default/>")),
+        ("too often", scene_xml(_chain(40))),
+        ("too often", scene_xml(BLENDS_IN_A_ROW)),
+        (
+            "circle",
+            scene_xml('<bsdf type="mask" id="a"><ref id="b"/></bsdf><bsdf type="mask" id="b"><ref id="a"/></bsdf>'),
+        ),
+        ("circle", scene_xml('<bsdf type="twosided" id="a"><ref id="a"/></bsdf>')),
+        ("does not exist", scene_xml('<ref id="nothing"/>')),
+        ("needs an id", scene_xml("<ref/>")),
+        ("has the id", scene_xml('<bsdf type="diffuse" id="a"/><bsdf type="diffuse" id="a"/>')),
+        ("an id that", scene_xml('<bsdf type="diffuse" id="&#x202e;"/>')),
+        ("an id that", scene_xml(f'<bsdf type="diffuse" id="{"x" * 1000}"/>')),
+        ("cannot stand", scene_xml('<scene version="3.0.0"/>')),
+        ("not an element", scene_xml("<script>import os</script>")),
+        ("not an element", scene_xml('<python value="1"/>')),
+        ("unknown attribute", scene_xml('<shape type="sphere" onload="1"/>')),
+        ("cannot stand", scene_xml('<matrix value="1 0 0 0 1 0 0 0 1"/>')),
+        ("cannot stand", scene_xml('<transform name="to_world"><float name="x" value="1"/></transform>')),
+        ("needs a value", scene_xml('<float name="a"/>')),
+        ("needs a name", scene_xml('<float value="1"/>')),
+        ("second time", scene_xml('<shape type="sphere">' + '<float name="radius" value="1"/>' * 2 + "</shape>")),
+        ("'nonsense'", scene_xml('<shape type="sphere"><float name="nonsense" value="1"/></shape>')),
+        ("'radius'", scene_xml('<shape type="sphere"><string name="radius" value="wide"/></shape>')),
+        ("conductor", scene_xml('<bsdf type="conductor" id="x"><string name="material" value="Unobtainium"/></bsdf>')),
+        ("emitters", scene_xml('<emitter type="point"/>' * 10_001)),
+        ("objects", scene_xml('<shape type="sphere"/>' * 200_001)),
+        ("sensors", scene_xml(sensor=SENSOR * 300)),
     ],
-)  # fmt: skip
-def test_hostile_text_is_refused(xml: bytes, tmp_path: Path, reject: Reject) -> None:
-    assert "root:" not in reject(load, tmp_path, xml)
+)
+def test_hostile_text_is_refused(word: str, xml: bytes, tmp_path: Path, reject: Reject) -> None:
+    message = reject(load, tmp_path, xml)
+    assert word in message
+    assert "root:" not in message
 
 
 def test_the_text_limit_holds_before_it_is_parsed(tmp_path: Path, reject: Reject) -> None:
