@@ -7,10 +7,8 @@ import secrets
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 import warnings
-from pathlib import Path
 from typing import get_args
 
 import structlog
@@ -19,7 +17,7 @@ from celery.exceptions import SecurityWarning
 
 from elps_core.errors import ElpsError
 from elps_core.settings import Variant
-from worker.lifetime import end_with_parent
+from worker.lifetime import end_with_parent, own_folder
 from worker.models import WorkerInfo
 from worker.parts import Parts
 from worker.queue import make_app, queue_name
@@ -44,20 +42,10 @@ def run(settings: FarmSettings) -> int:
     # Celery warns that a worker of root's could be made to unpickle things: ours takes JSON only.
     warnings.filterwarnings("ignore", category=SecurityWarning)
     structlog.configure(logger_factory=structlog.PrintLoggerFactory(sys.stderr))
-    with tempfile.TemporaryDirectory(prefix="elps-worker-", ignore_cleanup_errors=True) as folder:
-        tempfile.tempdir = folder  # for Celery's own files as well, so that one folder is all that can be left
-        try:
-            return _work(settings, Path(folder))
-        finally:
-            tempfile.tempdir = None
-
-
-def _work(settings: FarmSettings, folder: Path) -> int:
     parts = Parts(settings)
     name = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}"
     app = make_app(parts.redis_url)
     app.conf.update(task_time_limit=settings.stall_seconds, worker_proc_alive_timeout=START_SECONDS)
-    register(app, lambda: Child(Parts(settings), name), folder)
     variants = [variant for variant in get_args(Variant) if variant.startswith(settings.device)]
     info = WorkerInfo(name=name, device=settings.device, variants=variants, busy=False, last_seen=time.time())
     sweeper = Sweeper(parts, info)
@@ -72,12 +60,14 @@ def _work(settings: FarmSettings, folder: Path) -> int:
         without_heartbeat=True,
         quiet=True,
     )
-    sweeper.start()
-    try:
-        worker.start()
-    finally:
-        sweeper.stop()
-        parts.close()
+    with own_folder("elps-worker-") as folder:
+        register(app, lambda: Child(Parts(settings), name), folder)
+        sweeper.start()
+        try:
+            worker.start()
+        finally:
+            sweeper.stop()
+            parts.close()
     return int(worker.exitcode or 0)
 
 

@@ -120,6 +120,11 @@ class Child:
             if entry.job.state == "queued":
                 state.enter(entry.job.id, "preparing")
         record = state.context(digest) or missing_context(job)
+        if record.state == "ready":
+            return
+        if store.exists(checkpoint_key(digest, done + 1)):  # by a process that died before it could say so
+            self._parts.offer(job, Work("context", digest, done + 1))
+            return
         if record.state != "building":
             record = record.model_copy(update={"state": "building", "seconds": 0.0, "error": None})
             state.set_context(record)
@@ -205,25 +210,20 @@ def _in_time(entry: JobEntry, index: int) -> bool:
 def register(app: Celery, make_child: Callable[[], Child], folder: Path) -> None:
     """Add the tasks to ``app``, in the process that will fork.
 
-    ``make_child`` is called once in each process that runs them; ``folder`` holds the worker's temporary files.
+    ``make_child`` is called once in each process that runs them; ``folder`` is for the files of that process.
     """
     child = cache(make_child)
     parent = os.getpid()
 
     def prepare(**_: object) -> None:
-        end_with_parent(parent, folder=folder)
+        end_with_parent(parent)
         own = folder / "child"
         shutil.rmtree(own, ignore_errors=True)  # of a process before us that was killed
         own.mkdir()
         tempfile.tempdir = str(own)
         child().prepare()
 
-    def end(**_: object) -> None:
-        if os.getppid() != parent:  # the broken pipe was quicker than the look at the parent
-            shutil.rmtree(folder, ignore_errors=True)
-
     signals.worker_process_init.connect(prepare, weak=False)
-    signals.worker_process_shutdown.connect(end, weak=False)
 
     @app.task(name="elps.settle")  # type: ignore[untyped-decorator]
     def settle(job: str) -> None:

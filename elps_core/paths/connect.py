@@ -110,7 +110,8 @@ def connect_sensor(
     sample = camera.connect(vertex.si, aperture, active)
     active = active & sample.valid
     ray = vertex.si.spawn_ray(sample.direction)
-    ray.maxt = sample.distance * SHADOW - sample.near
+    # What lies before the near clip plane casts no shadow on the film.
+    ray.maxt = (sample.distance - sample.near) * SHADOW
     active = active & ~scene.ray_test(ray, active)
     wo = vertex.si.to_local(sample.direction)
     f = vertex.si.bsdf().eval(context, vertex.si, wo, active)

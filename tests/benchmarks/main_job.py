@@ -60,9 +60,7 @@ def main(
 
 def run(*arguments: str) -> str:
     """Run ``elps``; returns the last line of its output."""
-    done = subprocess.run(
-        [str(ELPS), *arguments], check=True, capture_output=True, text=True
-    )
+    done = subprocess.run([str(ELPS), *arguments], check=True, capture_output=True, text=True)
     return (done.stdout.strip().splitlines() or [""])[-1]
 
 

@@ -24,8 +24,9 @@ CASING = 0.08
 CASING_DEPTH = 0.015
 REVEAL = 0.01
 """Distance of the casing from the edge of the doorway, metres: no two surfaces coincide."""
-KNOB_RADIUS = 0.028
-KNOB_HEIGHT = 1.0
+KNOB = ((0.0, 0.0), (0.02, 0.0), (0.01, 0.03), (0.028, 0.05), (0.0, 0.065))
+"""Outline (radius, distance from the leaf) of the door knob, metres."""
+KNOB_HEIGHT, KNOB_FROM_EDGE = 1.0, 0.07
 LIGHT_CENTER = (1.3, 6.7)
 LIGHT_HALF = (0.6, 0.4)
 LIGHT_DROP = 0.01
@@ -45,27 +46,27 @@ TEAPOT = (
     (0.02, 0.25), (0.016, 0.26), (0.03, 0.276), (0.02, 0.294), (0.0, 0.296),
 )  # fmt: skip
 """Outline (radius, height) of the teapot and its lid, metres."""
-SPOUT = ((0.135, 0.07), (0.21, 0.11), (0.235, 0.17), (0.28, 0.215))
-HANDLE = ((-0.135, 0.18), (-0.225, 0.20), (-0.26, 0.145), (-0.22, 0.08), (-0.15, 0.065))
-"""Middle lines (x, height) of the teapot's spout and handle, metres."""
+SPOUT = ((0.12, 0.075), (0.21, 0.11), (0.235, 0.17), (0.28, 0.215))
+HANDLE = ((-0.10, 0.165), (-0.215, 0.20), (-0.26, 0.145), (-0.22, 0.085), (-0.12, 0.075))
+"""Middle lines (x, height) of the teapot's spout and handle, metres, from and into the body."""
 BOWL = (
-    (0.0, 0.0), (0.065, 0.0), (0.072, 0.016), (0.13, 0.052), (0.17, 0.117), (0.18, 0.12), (0.174, 0.112), (0.13, 0.062),
-    (0.065, 0.029), (0.0, 0.026),
+    (0.0, 0.0), (0.065, 0.0), (0.075, 0.012), (0.135, 0.05), (0.172, 0.105), (0.18, 0.12), (0.172, 0.12), (0.16, 0.105),
+    (0.122, 0.062), (0.06, 0.032), (0.0, 0.028),
 )  # fmt: skip
 """Outline of the bowl, outside and inside, metres."""
 
 
 @generator
 def door(
-    angle_degrees: Annotated[float, Field(ge=0.0, le=90.0)] = 9.0,
+    angle: Annotated[float, Field(ge=0.0, le=90.0)] = 9.0,
     crack: Annotated[float, Field(ge=0.0, le=0.05)] = 0.005,
-    width: Pixels = 640,
-    height: Pixels = 480,
+    width: Pixels = 512,
+    height: Pixels = 384,
 ) -> SceneDescription:
-    """A table in a dark room, lit through a door that is ``angle_degrees`` ajar by a light in the next room.
+    """A table in a dark room, lit through a door that is ``angle`` degrees ajar by a light in the next room.
 
     ``crack`` is the gap in metres all around the closed leaf. Without it a closed door lets no light pass, nor
-    does one that is ajar by less than the leaf's own thickness (about 2.5 degrees).
+    does one that is ajar by less than its thickness (2.5 degrees).
 
     Raises:
         SettingsRejected: a parameter is out of its range.
@@ -88,16 +89,7 @@ def door(
         white,
         RADIANCE,
     )
-    brass = scene.metal("brass", "Au", 0.25)
-    hinge = np.array([OPENING.start + crack, NEAR.high[1], 0.0])
-    leaf_width = OPENING.end - OPENING.start - 2 * crack
-    leaf = box((0, 0, crack), (leaf_width, LEAF, OPENING.top - crack)).turned(-angle_degrees).moved(hinge)
-    scene.mesh("door_leaf", leaf, scene.diffuse("door_paint", (0.72, 0.70, 0.66)))
-    knob = lathe(smooth(((0.0, 0.0), (0.02, 0.0), (0.01, 0.03), (0.028, 0.05), (0.0, 0.065)), CURVE_STEPS), 32)
-    knob = Mesh(knob.vertices[:, [0, 2, 1]] * (1, -1, 1), knob.faces)
-    scene.mesh(
-        "knob", knob.moved((leaf_width - 0.07, 0, KNOB_HEIGHT)).turned(-angle_degrees).moved(hinge), brass, flat=False
-    )
+    _door(scene, angle, crack)
     _still_life(scene)
     scene.camera((1.5, 0.6, 1.4), (2.25, 3.2, 0.92), fov=46.0, size=(width, height))
     return scene.finish()
@@ -106,6 +98,17 @@ def door(
 def _walls(room: Room, open_side: str) -> Mesh:
     sides = ("south", "north", "west", "east")
     return merged(*(room.wall(side, OPENING if side == open_side else None) for side in sides))
+
+
+def _door(scene: SceneBuilder, angle: float, crack: float) -> None:
+    """The leaf turns into the camera's room about its edge on the left, where it is flush with the wall."""
+    hinge = (OPENING.start + crack, NEAR.high[1], 0.0)
+    width = OPENING.end - OPENING.start - 2 * crack
+    leaf = box((0, 0, crack), (width, LEAF, OPENING.top - crack))
+    knob = lathe(smooth(KNOB, CURVE_STEPS), LATHE_SEGMENTS).laid().moved((width - KNOB_FROM_EDGE, 0, KNOB_HEIGHT))
+    paint, brass = scene.diffuse("paint", (0.72, 0.70, 0.66)), scene.metal("brass", "Au", 0.25)
+    scene.mesh("door_leaf", leaf.turned(-angle).moved(hinge), paint)
+    scene.mesh("door_knob", knob.turned(-angle).moved(hinge), brass, flat=False)
 
 
 def _casing() -> Mesh:
@@ -120,9 +123,11 @@ def _casing() -> Mesh:
 
 def _teapot() -> Mesh:
     spout, handle = smooth(SPOUT, CURVE_STEPS), smooth(HANDLE, CURVE_STEPS)
+    widths = np.linspace(0.042, 0.018, len(spout))
+    widths[-1] = 0.0  # closed: the inside of an open tube is a black hole
     return merged(
         lathe(smooth(TEAPOT, CURVE_STEPS), LATHE_SEGMENTS),
-        tube([(x, 0, z) for x, z in spout], np.linspace(0.042, 0.018, len(spout)), (0, 1, 0), 24),
+        tube([(x, 0, z) for x, z in spout], widths, (0, 1, 0), 24),
         tube([(x, 0, z) for x, z in handle], np.full(len(handle), 0.014), (0, 1, 0), 16),
     )
 

@@ -15,6 +15,9 @@ BOX_CORNERS = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x 
 BOX_SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
 """Corner indices of the six sides, counter-clockwise seen from outside."""
 
+BLENDS = ((0, 1), (0, 2), (1, 1))
+"""The three rounds of Barry and Goldman's recursion: offset of the first knot, and width of each blend in knots."""
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -34,6 +37,10 @@ class Mesh:
         angle = np.radians(degrees)
         turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
         return Mesh(self.vertices @ turn.T, self.faces)
+
+    def laid(self) -> Mesh:
+        """The mesh turned so that what pointed up points to the south (-y)."""
+        return Mesh(self.vertices[:, [0, 2, 1]] * (1.0, -1.0, 1.0), self.faces)
 
     def moved(self, offset: ArrayLike) -> Mesh:
         """The mesh moved by ``offset`` [3]."""
@@ -112,13 +119,21 @@ def lathe(profile: Sequence[tuple[float, float]], segments: int) -> Mesh:
     return Mesh(np.concatenate(rings), grid(len(profile), segments, closed=True))
 
 
-def smooth(profile: Sequence[tuple[float, float]], steps: int) -> list[tuple[float, float]]:
-    """A Catmull-Rom curve through points in a plane, ``steps`` points to each span."""
-    points = np.asarray(profile, dtype=np.float64)
-    padded = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
-    curve: list[tuple[float, float]] = []
-    for a, b, c, d in zip(padded, padded[1:], padded[2:], padded[3:], strict=False):
-        for t in np.arange(steps) / steps:
-            x, y = b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a)))
-            curve.append((float(x), float(y)))
-    return [*curve, (float(points[-1, 0]), float(points[-1, 1]))]
+def smooth(points: Sequence[tuple[float, float]], steps: int) -> list[tuple[float, float]]:
+    """A curve through points in a plane, ``steps`` points to each span, without loops.
+
+    Source: centripetal Catmull-Rom splines by the recursion of Barry and Goldman 1988.
+    """
+    given = np.asarray(points, dtype=np.float64)
+    padded = np.concatenate([2 * given[:1] - given[1:2], given, 2 * given[-1:] - given[-2:-1]])
+    knots = np.concatenate([[0.0], np.cumsum(np.sqrt(np.linalg.norm(np.diff(padded, axis=0), axis=1)))])
+    curve = []
+    for span in range(len(given) - 1):
+        for t in np.linspace(knots[span + 1], knots[span + 2], steps, endpoint=False):
+            row = padded[span : span + 4]
+            for first, width in BLENDS:
+                low = span + first + np.arange(len(row) - 1)
+                share = ((t - knots[low]) / (knots[low + width] - knots[low]))[:, None]
+                row = (1 - share) * row[:-1] + share * row[1:]
+            curve.append((float(row[0, 0]), float(row[0, 1])))
+    return [*curve, (float(given[-1, 0]), float(given[-1, 1]))]

@@ -18,7 +18,7 @@ POINT_INTENSITY = np.pi
 
 @generator
 def sphere(
-    albedo: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5,
+    albedo: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.5,
     light: Literal["emission", "point"] = "emission",
     radiance: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0,
     width: Pixels = 32,

