@@ -15,7 +15,8 @@ from elps_core.settings import RenderSettings
 def test_chunks_grow_and_stay_bounded(width: int, height: int) -> None:
     settings = RenderSettings()
     sizes = [chunk_spp(index, settings, (width, height)) for index in range(40)]
-    assert sizes[0] >= 1
+    assert sizes[0] == 1
+    assert all(sum(sizes[:count]) % sizes[count - 1] == 0 for count in range(1, 40))
     assert all(a <= b <= 2 * a for a, b in pairwise(sizes))
     assert sizes[-1] * width * height <= max(1 << 20, width * height)
 
@@ -23,3 +24,8 @@ def test_chunks_grow_and_stay_bounded(width: int, height: int) -> None:
 def test_baselines_get_larger_chunks() -> None:
     size = (256, 256)
     assert chunk_spp(9, RenderSettings(integrator="mi_path"), size) == 4 * chunk_spp(9, RenderSettings(), size)
+
+
+def test_powers_of_two_are_met_exactly() -> None:
+    sizes = [chunk_spp(index, RenderSettings(), (16, 12)) for index in range(12)]
+    assert 64 in [sum(sizes[:count]) for count in range(12)]
