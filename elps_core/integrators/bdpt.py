@@ -15,6 +15,7 @@ from typing import TypeAlias
 import drjit as dr
 import mitsuba as mi
 
+from elps_core.errors import SceneRejected
 from elps_core.paths import connect
 from elps_core.paths.mis import Partial, power
 from elps_core.paths.roulette import RouletteRule
@@ -24,10 +25,25 @@ from elps_core.paths.walk import Walk, random_walk
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 
+FRAME_MAPS = ("NormalMap", "BumpMap")
+"""Materials that need the surface's derivatives by u and v, as their descriptions name them."""
+
 Splat: TypeAlias = "Callable[[mi.Point2f, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
 """Adds a light path's contribution at a film position, pixels relative to the crop window."""
 Deposit: TypeAlias = "Callable[[mi.UInt32, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
 """Adds a contribution to the adjoint image, at the cell where the light vertex lies."""
+
+
+def _check_supported(scene: mi.Scene) -> bool:
+    """Refuse what would be rendered wrong; returns whether materials bend the shading frame by maps.
+
+    Raises:
+        SceneRejected: participating media.
+    """
+    if any(shape.is_medium_transition() for shape in scene.shapes()):
+        raise SceneRejected("participating media are not supported by this integrator yet: use integrator 'mi_volpath'")
+    descriptions = {str(shape.bsdf()) for shape in scene.shapes()}
+    return any(name in text for text in descriptions for name in FRAME_MAPS)
 
 
 @dataclass
@@ -60,6 +76,7 @@ class Bdpt:
         self.lights = lights
         self.max_depth = max_depth
         self.roulette = roulette
+        self._tangents = _check_supported(scene)
         self.slots = max(0, max_depth - 2)
         """Light vertices stored per lane: deeper ones can only be joined to the sensor."""
 
@@ -84,7 +101,7 @@ class Bdpt:
         aperture = eye_stream.next_2d() if self.camera.has_aperture else mi.Point2f(0.5)
         ray, ray_weight, offset = self.camera.sample_ray(position, u_wavelength, aperture)
 
-        store = VertexStore(lanes, self.slots)
+        store = VertexStore(lanes, self.slots, tangents=self._tangents)
         cell = mi.UInt32(0)
         if self.max_depth >= 2:
             cell = self._light_walk(light_stream, ray.wavelengths, ray_weight, lanes, store, splat, deposit)
@@ -176,11 +193,10 @@ class Bdpt:
             stream=stream,
             active=active,
         )
-        context = mi.BSDFContext(mi.TransportMode.Importance)
 
         def visit(vertex: Vertex, stream: Stream, light: _Light, active: mi.Bool) -> _Light:
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
-            seen, sample = connect.connect_sensor(self.scene, vertex, self.camera, context, stream, smooth)
+            seen, sample = connect.connect_sensor(self.scene, vertex, self.camera, stream, smooth)
             seen = seen * wavelength_weight
             splat(sample.position, seen, wavelengths, smooth & sample.valid)
             if deposit:

@@ -13,7 +13,7 @@ import mitsuba as mi
 
 from elps_core.paths.mis import power, weight
 from elps_core.paths.stream import Stream
-from elps_core.paths.vertex import Vertex, correction
+from elps_core.paths.vertex import Vertex, adjoint_scattering, reversed_interaction
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, SensorSample
 
@@ -23,9 +23,7 @@ SHADOW = 1.0 - 1e-3
 
 def reversed_pdf(vertex: Vertex, wo: mi.Vector3f, context: mi.BSDFContext, active: mi.Bool) -> mi.Float:
     """Solid-angle density of the predecessor's direction, had the walk arrived from ``wo`` (local)."""
-    si = mi.SurfaceInteraction3f(vertex.si)
-    si.wi = wo
-    return vertex.si.bsdf().pdf(context, si, vertex.si.wi, active)
+    return vertex.si.bsdf().pdf(context, reversed_interaction(vertex.si, wo), vertex.si.wi, active)
 
 
 def hit_emitter(
@@ -87,20 +85,19 @@ def connect_vertices(
     wo_eye, wo_light = eye.si.to_local(direction), light.si.to_local(-direction)
     active = active & ~shadowed(scene, eye, light.si.p, active)
     f_eye, pdf_eye = eye.si.bsdf().eval_pdf(eye_context, eye.si, wo_eye, active)
-    f_light, pdf_light = light.si.bsdf().eval_pdf(light_context, light.si, wo_light, active)
     pdf_rev_eye = reversed_pdf(eye, wo_eye, eye_context, active)
-    pdf_rev_light = reversed_pdf(light, wo_light, light_context, active)
-
     cos_eye, cos_light = dr.abs(dr.dot(eye.si.n, direction)), dr.abs(dr.dot(light.si.n, direction))
+    f_light, pdf_rev_light = adjoint_scattering(light.si, wo_light, cos_light, active)
+    pdf_light = light.si.bsdf().pdf(light_context, light.si, wo_light, active)
     inv = dr.rcp(distance2)
     sum_light = light.partial.other_strategies(pdf_eye * cos_light * inv, pdf_rev_light)
     sum_eye = eye.partial.other_strategies(pdf_light * cos_eye * inv, pdf_rev_eye)
-    scale = correction(light, wo_light, cos_light) * inv * weight(sum_light, sum_eye)
+    scale = inv * weight(sum_light, sum_eye)
     return dr.select(active, eye.beta * f_eye * f_light * light.beta * scale, 0.0)
 
 
 def connect_sensor(
-    scene: mi.Scene, vertex: Vertex, camera: Camera, context: mi.BSDFContext, stream: Stream, active: mi.Bool
+    scene: mi.Scene, vertex: Vertex, camera: Camera, stream: Stream, active: mi.Bool
 ) -> tuple[mi.Spectrum, SensorSample]:
     """t = 1: join a light vertex to the aperture; the contribution belongs to the sample's film position.
 
@@ -114,13 +111,11 @@ def connect_sensor(
     ray.maxt = (sample.distance - sample.near) * SHADOW
     active = active & ~scene.ray_test(ray, active)
     wo = vertex.si.to_local(sample.direction)
-    f = vertex.si.bsdf().eval(context, vertex.si, wo, active)
-    pdf_rev = reversed_pdf(vertex, wo, context, active)
-
     cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
+    f, pdf_rev = adjoint_scattering(vertex.si, wo, cosine, active)
     pdf_area = sample.pdf * cosine / dr.square(sample.distance)
     sum_light = vertex.partial.other_strategies(pdf_area, pdf_rev)
-    scale = correction(vertex, wo, cosine) * sample.weight * weight(sum_light, mi.Float(0.0))
+    scale = sample.weight * weight(sum_light, mi.Float(0.0))
     return dr.select(active, vertex.beta * f * scale, 0.0), sample
 
 

@@ -25,16 +25,34 @@ class Vertex:
     depth: mi.UInt32  # Segments between the subpath's start and this vertex
 
 
-def correction(vertex: Vertex, wo: mi.Vector3f, cos_out: mi.Float) -> mi.Float:
-    """Shading-normal correction of the adjoint BSDF, Veach 1997 5.3.2 [thesis 2.6.1].
+def reversed_interaction(si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.SurfaceInteraction3f:
+    """The interaction as a walk meets it that arrives from the local direction ``wo``."""
+    other = mi.SurfaceInteraction3f(si)
+    other.wi = wo
+    return other
 
-    ``wo`` is the local outgoing direction of a light path, ``cos_out`` its absolute cosine with the
-    geometric normal. One on surfaces whose shading normal is the geometric one.
+
+def adjoint_scattering(
+    si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float, active: mi.Bool
+) -> tuple[mi.Spectrum, mi.Float]:
+    """Smooth scattering of a light path from ``si.wi`` into ``wo`` (local): f* |cos|, and the reverse density.
+
+    The adjoint BSDF [thesis 2.6.1, alg. 2.1; Veach 1997 5.3.2] is the BSDF as the sensor sees it:
+    evaluated from ``wo``, so with the cosine of the direction to the light and whatever shading frame
+    the material bends to, times the ratio of geometric cosines. All strategies thus estimate one
+    integrand, bump maps and refraction included. ``cos_out`` is |wo n|, n the geometric normal;
+    the density is that of ``si.wi`` given ``wo``, per solid angle.
     """
-    cos_in = dr.abs(dr.dot(vertex.si.to_world(vertex.si.wi), vertex.si.n))
-    shading = dr.abs(mi.Frame3f.cos_theta(vertex.si.wi)) * cos_out
+    context = mi.BSDFContext(mi.TransportMode.Radiance)
+    value, pdf = si.bsdf().eval_pdf(context, reversed_interaction(si, wo), si.wi, active)
+    return value * (cos_out / dr.abs(dr.dot(si.to_world(si.wi), si.n))), pdf
+
+
+def specular_correction(si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float) -> mi.Float:
+    """The same correction for a Dirac event, whose weight Mitsuba gives for ``si.wi`` to ``wo``."""
+    cos_in = dr.abs(dr.dot(si.to_world(si.wi), si.n))
     geometric = cos_in * dr.abs(mi.Frame3f.cos_theta(wo))
-    return dr.select(geometric > 0.0, shading / geometric, 0.0)
+    return dr.select(geometric > 0.0, dr.abs(mi.Frame3f.cos_theta(si.wi)) * cos_out / geometric, 0.0)
 
 
 class VertexStore:
@@ -44,12 +62,14 @@ class VertexStore:
     reads them: never both in one kernel.
     """
 
-    def __init__(self, lanes: int, slots: int) -> None:
+    def __init__(self, lanes: int, slots: int, *, tangents: bool) -> None:
+        """``tangents``: keep the position's derivatives by u and v, which normal and bump maps ask for."""
         self.lanes = lanes
+        self.tangents = tangents
         self.slots = slots
         self._stride = dr.opaque(mi.UInt32, lanes)  # Data, not code: one kernel for all lane counts
         self.channels = dr.size_v(mi.UnpolarizedSpectrum)
-        self.packets = -(-(21 + self.channels) // PACKET)
+        self.packets = -(-(20 + self.channels + (6 if tangents else 0)) // PACKET)
         self.data = dr.empty(mi.Float, max(1, lanes * slots) * self.packets * PACKET)
         self.count = dr.zeros(mi.UInt32, lanes)
 
@@ -71,6 +91,8 @@ class VertexStore:
             si.time,
             *(vertex.beta[i] for i in range(self.channels)),
         ]  # fmt: skip
+        if self.tangents:
+            fields += [*si.dp_du, *si.dp_dv]
         fields += [mi.Float(0.0)] * (self.packets * PACKET - len(fields))
         base = (slot * self._stride + dr.arange(mi.UInt32, self.lanes)) * self.packets
         for k in range(self.packets):
@@ -99,4 +121,7 @@ class VertexStore:
         si.t = 0.0
         si.wavelengths = wavelengths
         beta = mi.UnpolarizedSpectrum([f[20 + i] for i in range(self.channels)])
+        if self.tangents:
+            rest = f[20 + self.channels :]
+            si.dp_du, si.dp_dv = mi.Vector3f(rest[:3]), mi.Vector3f(rest[3:6])
         return Vertex(si, beta, Partial(f[17], f[18]), word & ((1 << DEPTH_BITS) - 1))

@@ -12,7 +12,7 @@ import mitsuba as mi
 from elps_core.paths.mis import Partial
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
-from elps_core.paths.vertex import Vertex, correction
+from elps_core.paths.vertex import Vertex, adjoint_scattering, reversed_interaction, specular_correction
 
 State = TypeVar("State")
 Visit: TypeAlias = "Callable[[Vertex, Stream, State, mi.Bool], State]"
@@ -48,8 +48,7 @@ def random_walk(
     """Walk from ``start`` over at most ``max_depth`` segments, calling ``visit`` at each vertex.
 
     ``mode`` is Radiance for walks from the sensor, Importance for walks from the lights, where the
-    scattering is adjoint: the shading-normal correction enters the throughput. Returns the
-    caller's state after the last visit. One symbolic loop, hence part of one kernel.
+    scattering is adjoint. Returns the caller's state after the last visit. One symbolic loop, hence part of one kernel.
     """
     context = mi.BSDFContext(mode)
 
@@ -65,13 +64,14 @@ def random_walk(
         bsdf = si.bsdf(walk.ray)
         sample, weight = bsdf.sample(context, si, walk.stream.next_1d(), walk.stream.next_2d(), active)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        reverse = mi.SurfaceInteraction3f(si)
-        reverse.wi = sample.wo
-        pdf_rev = bsdf.pdf(context, reverse, si.wi, active & ~delta)
         direction = si.to_world(sample.wo)
         cos_out = dr.abs(dr.dot(si.n, direction))
         if mode == mi.TransportMode.Importance:
-            weight = weight * correction(vertex, sample.wo, cos_out)
+            value, pdf_rev = adjoint_scattering(si, sample.wo, cos_out, active & ~delta)
+            specular = weight * specular_correction(si, sample.wo, cos_out)
+            weight = dr.select(delta, specular, value / sample.pdf)
+        else:
+            pdf_rev = bsdf.pdf(context, reversed_interaction(si, sample.wo), si.wi, active & ~delta)
         beta = vertex.beta * weight
         eta = walk.eta * sample.eta
         active = active & ((sample.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0))

@@ -174,8 +174,7 @@ def test_sigterm_finishes_the_chunk_and_leaves_nothing(
 def test_a_renderer_that_hangs_is_given_up(farm: Farm, scene: SceneRecord, settings: FarmSettings) -> None:
     """A chunk that takes longer than a worker's patience looks the same."""
     worker = start_process(settings.model_copy(update={"stall_seconds": 0.5, "lease_seconds": 1.0}))
-    large = RenderSettings(integrator="mi_path", width=1024, height=1024, max_depth=64)
+    large = RenderSettings(integrator="mi_path", width=2560, height=2560, max_depth=64)
     ended = finished(farm, farm.submit(scene.digest, large, StopCriterion(samples=1)).id, 40)
-    worker.kill()
-    worker.wait()
+    stop_process(worker)
     assert (ended.state, ended.message) == ("failed", GIVEN_UP)

@@ -31,7 +31,7 @@ LIGHT_CENTER = (1.3, 6.7)
 LIGHT_HALF = (0.6, 0.4)
 LIGHT_DROP = 0.01
 RADIANCE = (1550.0, 1470.0, 1320.0)
-"""Of the light: gives the image a mean near 0.2 where the door is 9 degrees ajar."""
+"""Of the light: gives the image a mean near 0.25 where the door is 9 degrees ajar."""
 TABLE_TOP = 0.75
 TABLE_CENTER = (2.5, 2.3)
 TABLE_HALF = (0.75, 0.42)

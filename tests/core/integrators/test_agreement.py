@@ -129,17 +129,32 @@ def material_scene(mi: Any, camera: dict[str, Any], bsdf: dict[str, Any]) -> Any
         {"type": "plastic"},
         {"type": "roughplastic", "alpha": 0.1},
         {"type": "principled", "roughness": 0.4, "metallic": 0.5},
+        {"type": "bumpmap"},
+        {"type": "normalmap", "bsdf": {"type": "roughconductor", "alpha": 0.3}},
         {"type": "mask", "opacity": 0.5, "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}}},
     ],
     ids=lambda material: f"{material['type']}{'-anisotropic' if 'alpha_u' in material else ''}",
 )
-def test_materials(
+def test_materials_and_shading_frames(
     mi: Any,
     camera_dict: Callable[..., dict[str, Any]],
     render_bdpt: Callable[..., Array],
     render_path: Callable[..., Array],
     material: dict[str, Any],
 ) -> None:
+    if material["type"] == "normalmap":
+        rng = np.random.default_rng(9)
+        bent = np.stack(
+            [0.5 + 0.2 * rng.random((8, 8)), 0.5 + 0.2 * rng.random((8, 8)), np.full((8, 8), 0.95)], axis=-1
+        )
+        material = {
+            **material,
+            "normalmap": {"type": "bitmap", "raw": True, "data": mi.TensorXf(bent.astype(np.float32))},
+        }
+    if material["type"] == "bumpmap":
+        waves = 0.2 * np.sin(np.arange(64) / 3.0)[:, None] * np.cos(np.arange(64) / 4.0)[None, :] + 0.5
+        texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(waves[..., None].astype(np.float32))}
+        material = {"type": "bumpmap", "map": texture, "scale": 0.5, "bsdf": {"type": "diffuse"}}
     scene = material_scene(mi, camera_dict([0, 1.5, 4], [0, 0.6, 0]), material)
     images = render_bdpt(scene, images=10, spp=256, max_depth=5)
     agreement = compare(images, render_path(scene, images=10, spp=768, max_depth=5), block=8)
