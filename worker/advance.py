@@ -139,17 +139,6 @@ def eta_seconds(entry: JobEntry, now: float) -> float | None:
     return max(min(estimates), 0.0) if estimates else None
 
 
-def ranges(indices: Iterable[int]) -> str:
-    """Indices as text: ``0-7,9``."""
-    parts: list[list[int]] = []
-    for index in sorted(indices):
-        if parts and index == parts[-1][1] + 1:
-            parts[-1][1] = index
-        else:
-            parts.append([index, index])
-    return ",".join(f"{a}-{b}" if a != b else f"{a}" for a, b in parts)
-
-
 def _reached(job: Job, now: float) -> bool:
     """Whether seconds or error are met; samples are a set of chunks, see :func:`_planned`."""
     stop = job.stop

@@ -20,6 +20,7 @@ from redis.exceptions import RedisError
 from elps_core.context.store import load
 from elps_core.errors import ElpsError, SceneRejected, SettingsRejected
 from elps_core.io.exr import read_exr
+from elps_core.io.result import ERROR_PART, IMAGE_PART
 from elps_core.scene.bundle import is_archive
 from elps_core.scene.digest import context_digest, render_digest
 from elps_core.scene.inspect import inspect_in_child
@@ -29,7 +30,6 @@ from worker.errors import FarmUnavailable
 from worker.leases import Work
 from worker.models import FINAL_STATES, ContextRecord, Event, Job, SceneRecord, WorkerInfo
 from worker.parts import Parts
-from worker.publish import ERROR_PART, IMAGE_PART
 from worker.settings import FarmSettings
 from worker.state import JobEntry, events_key, missing_context, parse_event
 from worker.store import name as key_name

@@ -15,35 +15,20 @@ from typing import TypeAlias
 import drjit as dr
 import mitsuba as mi
 
-from elps_core.errors import SceneRejected
 from elps_core.paths import connect
 from elps_core.paths.mis import Partial, power
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
+from elps_core.paths.surfaces import Surfaces
 from elps_core.paths.vertex import Vertex, VertexStore
 from elps_core.paths.walk import Walk, random_walk
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 
-FRAME_MAPS = ("NormalMap", "BumpMap")
-"""Materials that need the surface's derivatives by u and v, as their descriptions name them."""
-
 Splat: TypeAlias = "Callable[[mi.Point2f, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
 """Adds a light path's contribution at a film position, pixels relative to the crop window."""
 Deposit: TypeAlias = "Callable[[mi.UInt32, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
 """Adds a contribution to the adjoint image, at the cell where the light vertex lies."""
-
-
-def _check_supported(scene: mi.Scene) -> bool:
-    """Refuse what would be rendered wrong; returns whether materials bend the shading frame by maps.
-
-    Raises:
-        SceneRejected: participating media.
-    """
-    if any(shape.is_medium_transition() for shape in scene.shapes()):
-        raise SceneRejected("participating media are not supported by this integrator yet: use integrator 'mi_volpath'")
-    descriptions = {str(shape.bsdf()) for shape in scene.shapes()}
-    return any(name in text for text in descriptions for name in FRAME_MAPS)
 
 
 @dataclass
@@ -72,11 +57,11 @@ class Bdpt:
         self, scene: mi.Scene, camera: Camera, lights: StartDensity, *, max_depth: int, roulette: RouletteRule
     ) -> None:
         self.scene = scene
+        self.surfaces = Surfaces(scene)
         self.camera = camera
         self.lights = lights
         self.max_depth = max_depth
         self.roulette = roulette
-        self._tangents = _check_supported(scene)
         self.slots = max(0, max_depth - 2)
         """Light vertices stored per lane: deeper ones can only be joined to the sensor."""
 
@@ -101,7 +86,7 @@ class Bdpt:
         aperture = eye_stream.next_2d() if self.camera.has_aperture else mi.Point2f(0.5)
         ray, ray_weight, offset = self.camera.sample_ray(position, u_wavelength, aperture)
 
-        store = VertexStore(lanes, self.slots, tangents=self._tangents)
+        store = VertexStore(lanes, self.slots, tangents=self.surfaces.bends_frames)
         cell = mi.UInt32(0)
         if self.max_depth >= 2:
             cell = self._light_walk(light_stream, ray.wavelengths, ray_weight, lanes, store, splat, deposit)
@@ -117,8 +102,6 @@ class Bdpt:
             stream=eye_stream,
             active=dr.full(mi.Bool, True, lanes),
         )
-        context = mi.BSDFContext(mi.TransportMode.Radiance)
-        light_context = mi.BSDFContext(mi.TransportMode.Importance)
         lane = dr.arange(mi.UInt32, lanes)
 
         def visit(vertex: Vertex, stream: Stream, eye: _Eye, active: mi.Bool) -> _Eye:
@@ -128,7 +111,7 @@ class Bdpt:
             radiance = eye.radiance + emitted
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             direct = smooth & (vertex.depth < self.max_depth)
-            lit, start = connect.connect_light(self.scene, vertex, self.lights, context, stream, direct)
+            lit, start = connect.connect_light(self.surfaces, vertex, self.lights, stream, direct)
             if deposit:
                 deposit(start.cell, lit, ray.wavelengths, direct)
             radiance = radiance + lit
@@ -141,7 +124,7 @@ class Bdpt:
                 light = store.read(slot, lane, ray.wavelengths, more)
                 # Depths grow with the slot: what follows a vertex that is too deep is too deep.
                 more = more & (vertex.depth + light.depth + 1 <= self.max_depth)
-                joined = connect.connect_vertices(self.scene, vertex, light, context, light_context, more)
+                joined = connect.connect_vertices(self.surfaces, vertex, light, more)
                 if deposit:
                     deposit(cell, joined, ray.wavelengths, more)
                 return slot + 1, total + joined, more & (slot + 1 < count)
@@ -196,7 +179,7 @@ class Bdpt:
 
         def visit(vertex: Vertex, stream: Stream, light: _Light, active: mi.Bool) -> _Light:
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
-            seen, sample = connect.connect_sensor(self.scene, vertex, self.camera, stream, smooth)
+            seen, sample = connect.connect_sensor(self.surfaces, vertex, self.camera, stream, smooth)
             seen = seen * wavelength_weight
             splat(sample.position, seen, wavelengths, smooth & sample.valid)
             if deposit:

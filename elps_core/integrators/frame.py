@@ -57,17 +57,17 @@ class FrameRenderer:
         lanes = min(MAX_LANES, max(1, MAX_STORE_BYTES // (max(1, self.bdpt.slots) * VERTEX_BYTES)))
         passes = -(-total // lanes)
         lanes = -(-total // passes)
-        eye, light = self._block(4), self._block(3)
+        eye, light = self._block(4), self._block(4)
         for number in range(passes):
             first = number * lanes
             self._render_pass(min(lanes, total - first), first, (*key, number), eye, light)
             dr.eval(eye.tensor(), light.tensor())
-        channels = eye.tensor().array
+        channels, splats = eye.tensor().array, light.tensor().array
         pixel = dr.arange(mi.UInt32, self.pixels * 3) // 3
         channel = dr.arange(mi.UInt32, self.pixels * 3) % 3
         weight = dr.gather(mi.Float, channels, dr.arange(mi.UInt32, self.pixels) * 4 + 3)
         seen = dr.gather(mi.Float, channels, pixel * 4 + channel)
-        lit = light.tensor().array / (spp * dr.gather(mi.Float, self.coverage(), pixel))
+        lit = dr.gather(mi.Float, splats, pixel * 4 + channel) / (spp * dr.gather(mi.Float, self.coverage(), pixel))
         image = seen / dr.maximum(dr.gather(mi.Float, weight, pixel), dr.smallest(mi.Float)) + lit
         shape = (int(self.size.y), int(self.size.x))
         return Frame(mi.TensorXf(image, (*shape, 3)), mi.TensorXf(weight, shape))
@@ -82,7 +82,9 @@ class FrameRenderer:
         position = corner + streams[0].next_2d()
 
         def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
-            light.put(where, list(to_rgb(value, wavelengths)), active)
+            # Four channels travel as one packet, three would not; most splats are shadowed and stay away.
+            rgb = to_rgb(value, wavelengths)
+            light.put(where, [*rgb, mi.Float(0.0)], active & dr.any(rgb != 0.0))
 
         radiance, wavelengths = self.bdpt.trace(position, streams, splat)
         eye.put(position, [*to_rgb(radiance, wavelengths), mi.Float(1.0)])

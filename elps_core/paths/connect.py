@@ -12,18 +12,15 @@ import drjit as dr
 import mitsuba as mi
 
 from elps_core.paths.mis import power, weight
+from elps_core.paths.scattering import seen_by_eye, seen_by_light
 from elps_core.paths.stream import Stream
-from elps_core.paths.vertex import Vertex, adjoint_scattering, reversed_interaction
+from elps_core.paths.surfaces import Surfaces
+from elps_core.paths.vertex import Vertex
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, SensorSample
 
 SHADOW = 1.0 - 1e-3
 """Share of a shadow segment that is tested; Mitsuba's own shadow rays keep the same distance."""
-
-
-def reversed_pdf(vertex: Vertex, wo: mi.Vector3f, context: mi.BSDFContext, active: mi.Bool) -> mi.Float:
-    """Solid-angle density of the predecessor's direction, had the walk arrived from ``wo`` (local)."""
-    return vertex.si.bsdf().pdf(context, reversed_interaction(vertex.si, wo), vertex.si.wi, active)
 
 
 def hit_emitter(
@@ -44,7 +41,7 @@ def hit_emitter(
 
 
 def connect_light(
-    scene: mi.Scene, vertex: Vertex, lights: StartDensity, context: mi.BSDFContext, stream: Stream, active: mi.Bool
+    surfaces: Surfaces, vertex: Vertex, lights: StartDensity, stream: Stream, active: mi.Bool
 ) -> tuple[mi.Spectrum, Start]:
     """s = 1: next event estimation, a fresh light vertex for an eye vertex."""
     start = lights.sample(stream.next_2d(), stream.next_2d(), vertex.si.wavelengths, active)
@@ -54,50 +51,42 @@ def connect_light(
     direction = delta * dr.rsqrt(distance2)
     radiance, cos_light = lights.emission.radiance(point, -direction, active)
     active = active & ((dr.max(radiance) > 0.0) & (cos_light > 0.0) & (distance2 > 0.0))
-    active = active & ~shadowed(scene, vertex, point.si.p, active)
     wo = vertex.si.to_local(direction)
-    f, pdf_fwd = vertex.si.bsdf().eval_pdf(context, vertex.si, wo, active)
-    pdf_rev = reversed_pdf(vertex, wo, context, active)
+    active = active & surfaces.may_scatter(vertex.si, wo)
+    active = active & ~surfaces.shadowed(vertex.si, point.si.p, active)
+    seen = seen_by_eye(vertex.si, wo, active)
 
     cos_eye = dr.abs(dr.dot(vertex.si.n, direction))
     pdf_omega = start.pdf * distance2 / cos_light
-    sum_light = dr.select(point.delta, 0.0, power(pdf_fwd / pdf_omega))
+    sum_light = dr.select(point.delta, 0.0, power(seen.pdf / pdf_omega))
     pdf_direction = lights.emission.pdf_direction(point.index, point.delta, cos_light, active)
     # Light paths start with the density of this very sample, so that it cancels in the ratio.
-    sum_eye = vertex.partial.other_strategies(pdf_direction * cos_eye / distance2, pdf_rev)
-    value = vertex.beta * f * radiance * (weight(sum_light, sum_eye) / pdf_omega)
+    sum_eye = vertex.partial.other_strategies(pdf_direction * cos_eye / distance2, seen.pdf_rev)
+    value = vertex.beta * seen.value * radiance * (weight(sum_light, sum_eye) / pdf_omega)
     return dr.select(active, value, 0.0), start
 
 
-def connect_vertices(
-    scene: mi.Scene,
-    eye: Vertex,
-    light: Vertex,
-    eye_context: mi.BSDFContext,
-    light_context: mi.BSDFContext,
-    active: mi.Bool,
-) -> mi.Spectrum:
+def connect_vertices(surfaces: Surfaces, eye: Vertex, light: Vertex, active: mi.Bool) -> mi.Spectrum:
     """s >= 2, t >= 2: join an eye vertex and a light vertex."""
     delta = light.si.p - eye.si.p
     distance2 = dr.squared_norm(delta)
     direction = delta * dr.rsqrt(distance2)
     active = active & (distance2 > 0.0)
     wo_eye, wo_light = eye.si.to_local(direction), light.si.to_local(-direction)
-    active = active & ~shadowed(scene, eye, light.si.p, active)
-    f_eye, pdf_eye = eye.si.bsdf().eval_pdf(eye_context, eye.si, wo_eye, active)
-    pdf_rev_eye = reversed_pdf(eye, wo_eye, eye_context, active)
+    active = active & surfaces.may_scatter(eye.si, wo_eye) & surfaces.may_scatter(light.si, wo_light)
+    active = active & ~surfaces.shadowed(eye.si, light.si.p, active)
     cos_eye, cos_light = dr.abs(dr.dot(eye.si.n, direction)), dr.abs(dr.dot(light.si.n, direction))
-    f_light, pdf_rev_light = adjoint_scattering(light.si, wo_light, cos_light, active)
-    pdf_light = light.si.bsdf().pdf(light_context, light.si, wo_light, active)
+    at_eye = seen_by_eye(eye.si, wo_eye, active)
+    at_light = seen_by_light(light.si, wo_light, cos_light, active)
     inv = dr.rcp(distance2)
-    sum_light = light.partial.other_strategies(pdf_eye * cos_light * inv, pdf_rev_light)
-    sum_eye = eye.partial.other_strategies(pdf_light * cos_eye * inv, pdf_rev_eye)
+    sum_light = light.partial.other_strategies(at_eye.pdf * cos_light * inv, at_light.pdf_rev)
+    sum_eye = eye.partial.other_strategies(at_light.pdf * cos_eye * inv, at_eye.pdf_rev)
     scale = inv * weight(sum_light, sum_eye)
-    return dr.select(active, eye.beta * f_eye * f_light * light.beta * scale, 0.0)
+    return dr.select(active, eye.beta * at_eye.value * at_light.value * light.beta * scale, 0.0)
 
 
 def connect_sensor(
-    scene: mi.Scene, vertex: Vertex, camera: Camera, stream: Stream, active: mi.Bool
+    surfaces: Surfaces, vertex: Vertex, camera: Camera, stream: Stream, active: mi.Bool
 ) -> tuple[mi.Spectrum, SensorSample]:
     """t = 1: join a light vertex to the aperture; the contribution belongs to the sample's film position.
 
@@ -105,20 +94,15 @@ def connect_sensor(
     """
     aperture = stream.next_2d() if camera.has_aperture else mi.Point2f(0.5)
     sample = camera.connect(vertex.si, aperture, active)
-    active = active & sample.valid
+    wo = vertex.si.to_local(sample.direction)
+    active = active & sample.valid & surfaces.may_scatter(vertex.si, wo)
     ray = vertex.si.spawn_ray(sample.direction)
     # What lies before the near clip plane casts no shadow on the film.
     ray.maxt = (sample.distance - sample.near) * SHADOW
-    active = active & ~scene.ray_test(ray, active)
-    wo = vertex.si.to_local(sample.direction)
+    active = active & ~surfaces.scene.ray_test(ray, active)
     cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
-    f, pdf_rev = adjoint_scattering(vertex.si, wo, cosine, active)
+    seen = seen_by_light(vertex.si, wo, cosine, active)
     pdf_area = sample.pdf * cosine / dr.square(sample.distance)
-    sum_light = vertex.partial.other_strategies(pdf_area, pdf_rev)
+    sum_light = vertex.partial.other_strategies(pdf_area, seen.pdf_rev)
     scale = sample.weight * weight(sum_light, mi.Float(0.0))
-    return dr.select(active, vertex.beta * f * scale, 0.0), sample
-
-
-def shadowed(scene: mi.Scene, vertex: Vertex, target: mi.Point3f, active: mi.Bool) -> mi.Bool:
-    """Whether something stands between a vertex and a point on another surface."""
-    return scene.ray_test(vertex.si.spawn_ray_to(target), active)
+    return dr.select(active, vertex.beta * seen.value * scale, 0.0), sample

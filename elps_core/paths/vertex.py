@@ -25,36 +25,6 @@ class Vertex:
     depth: mi.UInt32  # Segments between the subpath's start and this vertex
 
 
-def reversed_interaction(si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.SurfaceInteraction3f:
-    """The interaction as a walk meets it that arrives from the local direction ``wo``."""
-    other = mi.SurfaceInteraction3f(si)
-    other.wi = wo
-    return other
-
-
-def adjoint_scattering(
-    si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float, active: mi.Bool
-) -> tuple[mi.Spectrum, mi.Float]:
-    """Smooth scattering of a light path from ``si.wi`` into ``wo`` (local): f* |cos|, and the reverse density.
-
-    The adjoint BSDF [thesis 2.6.1, alg. 2.1; Veach 1997 5.3.2] is the BSDF as the sensor sees it:
-    evaluated from ``wo``, so with the cosine of the direction to the light and whatever shading frame
-    the material bends to, times the ratio of geometric cosines. All strategies thus estimate one
-    integrand, bump maps and refraction included. ``cos_out`` is |wo n|, n the geometric normal;
-    the density is that of ``si.wi`` given ``wo``, per solid angle.
-    """
-    context = mi.BSDFContext(mi.TransportMode.Radiance)
-    value, pdf = si.bsdf().eval_pdf(context, reversed_interaction(si, wo), si.wi, active)
-    return value * (cos_out / dr.abs(dr.dot(si.to_world(si.wi), si.n))), pdf
-
-
-def specular_correction(si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float) -> mi.Float:
-    """The same correction for a Dirac event, whose weight Mitsuba gives for ``si.wi`` to ``wo``."""
-    cos_in = dr.abs(dr.dot(si.to_world(si.wi), si.n))
-    geometric = cos_in * dr.abs(mi.Frame3f.cos_theta(wo))
-    return dr.select(geometric > 0.0, dr.abs(mi.Frame3f.cos_theta(si.wi)) * cos_out / geometric, 0.0)
-
-
 class VertexStore:
     """Light vertices of one pass in global memory: ``slots`` records for each of ``lanes`` lanes.
 

@@ -11,8 +11,9 @@ import mitsuba as mi
 
 from elps_core.paths.mis import Partial
 from elps_core.paths.roulette import RouletteRule
+from elps_core.paths.scattering import sample_from_eye, sample_from_light
 from elps_core.paths.stream import Stream
-from elps_core.paths.vertex import Vertex, adjoint_scattering, reversed_interaction, specular_correction
+from elps_core.paths.vertex import Vertex
 
 State = TypeVar("State")
 Visit: TypeAlias = "Callable[[Vertex, Stream, State, mi.Bool], State]"
@@ -50,7 +51,6 @@ def random_walk(
     ``mode`` is Radiance for walks from the sensor, Importance for walks from the lights, where the
     scattering is adjoint. Returns the caller's state after the last visit. One symbolic loop, hence part of one kernel.
     """
-    context = mi.BSDFContext(mode)
 
     def body(walk: Walk, state: State) -> tuple[Walk, State]:
         si = scene.ray_intersect(walk.ray, ray_flags=mi.RayFlags.All, coherent=False, active=walk.active)
@@ -61,29 +61,22 @@ def random_walk(
         state = visit(vertex, walk.stream, state, active)
 
         active = active & (vertex.depth < max_depth)
-        bsdf = si.bsdf(walk.ray)
-        sample, weight = bsdf.sample(context, si, walk.stream.next_1d(), walk.stream.next_2d(), active)
-        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        direction = si.to_world(sample.wo)
+        draw = sample_from_light if mode == mi.TransportMode.Importance else sample_from_eye
+        event = draw(si, walk.stream.next_1d(), walk.stream.next_2d(), active)
+        direction = si.to_world(event.wo)
         cos_out = dr.abs(dr.dot(si.n, direction))
-        if mode == mi.TransportMode.Importance:
-            value, pdf_rev = adjoint_scattering(si, sample.wo, cos_out, active & ~delta)
-            specular = weight * specular_correction(si, sample.wo, cos_out)
-            weight = dr.select(delta, specular, value / sample.pdf)
-        else:
-            pdf_rev = bsdf.pdf(context, reversed_interaction(si, sample.wo), si.wi, active & ~delta)
-        beta = vertex.beta * weight
-        eta = walk.eta * sample.eta
-        active = active & ((sample.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0))
+        beta = vertex.beta * event.weight
+        eta = walk.eta * event.eta
+        active = active & ((event.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0))
 
-        survival = roulette.survival(beta, eta, weight, vertex.depth)
+        survival = roulette.survival(beta, eta, event.weight, vertex.depth)
         if roulette.kind != "none":
             active = active & (walk.stream.next_1d() < survival)
         return (
             Walk(
                 ray=si.spawn_ray(direction),
                 beta=beta / survival,
-                partial=vertex.partial.scatter(cos_out, sample.pdf, pdf_rev, delta),
+                partial=vertex.partial.scatter(cos_out, event.pdf, event.pdf_rev, event.delta),
                 eta=eta,
                 depth=vertex.depth,
                 offset=mi.Float(0.0),

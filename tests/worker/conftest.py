@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from elps_core.estimate.schedule import chunk_spp
 from elps_core.scene.generate import write
 from elps_core.scene.generate.maze import maze
 from elps_core.settings import RenderSettings
@@ -21,7 +22,7 @@ from worker.run import start_process
 from worker.settings import FarmSettings
 
 TINY = RenderSettings(integrator="mi_path", width=32, height=32, max_depth=4)
-"""Chunks of a quarter of a second and of a second: long enough to be hit in the middle."""
+"""A small picture of a simple scene. Its chunks double in samples: the last ones take a second."""
 
 
 @pytest.fixture(scope="session")
@@ -106,6 +107,17 @@ def hire(
     for worker in hired:
         worker.kill()  # what it leaves ends by itself, and the next test has a Redis of its own
         worker.wait()
+
+
+def chunk_count(settings: RenderSettings, samples: int) -> int:
+    """Chunks that a job with a limit on samples has."""
+    assert settings.width is not None
+    assert settings.height is not None
+    spp, number = 0, 0
+    while spp < samples:
+        spp += chunk_spp(number, settings, (settings.width, settings.height))
+        number += 1
+    return number
 
 
 def wait_for(condition: Callable[[], object], seconds: float) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from elps_core.settings import RenderSettings, StopCriterion
-from worker.advance import Decision, decide, eta_seconds, mergeable, publish_due, ranges, worth_starting
+from worker.advance import Decision, decide, eta_seconds, mergeable, publish_due, worth_starting
 from worker.models import Job
 from worker.state import JobEntry
 
@@ -135,8 +135,3 @@ def test_eta_is_that_of_the_first_limit() -> None:
     quarter = entry(StopCriterion(error=0.1), merged=(0, 1), relative_error=0.2)
     assert eta_seconds(quarter, 5.0) == pytest.approx(15.0)
     assert eta_seconds(entry(StopCriterion(samples=8)), 6.0) is None
-
-
-def test_ranges() -> None:
-    assert ranges([]) == ""
-    assert ranges({4, 0, 1, 2, 9, 10}) == "0-2,4,9-10"

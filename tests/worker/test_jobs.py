@@ -15,7 +15,7 @@ import pytest
 from elps_core.errors import SceneRejected, SettingsRejected
 from elps_core.io.exr import read_exr
 from elps_core.settings import ContextSettings, RenderSettings, StopCriterion
-from tests.worker.conftest import TINY, finished, wait_for
+from tests.worker.conftest import TINY, chunk_count, finished, wait_for
 from worker.embedded import EmbeddedServer
 from worker.errors import FarmUnavailable
 from worker.farm import Farm
@@ -27,8 +27,9 @@ Hire = Callable[[], subprocess.Popen[bytes]]
 
 SMALL_CONTEXT = ContextSettings(resolution=8, samples_per_cell=8, max_depth=4)
 GUIDED = RenderSettings(width=32, height=32, max_depth=4, context=SMALL_CONTEXT)
-TWO_CHUNKS = StopCriterion(samples=2048)
-"""A first chunk and a second one, at 1024 samples per pixel each."""
+SAMPLES = 2048
+SHORT = StopCriterion(samples=SAMPLES)
+CHUNKS = chunk_count(TINY, SAMPLES)
 
 
 def test_a_scene_is_stored_once(farm: Farm, upload: Path) -> None:
@@ -52,17 +53,17 @@ def test_a_rejected_scene_leaves_nothing(farm: Farm, parts: Parts, tmp_path: Pat
 
 def test_what_cannot_be_rendered_is_refused_at_the_door(farm: Farm, scene: SceneRecord, settings: FarmSettings) -> None:
     with pytest.raises(SceneRejected, match="upload"):
-        farm.submit("sha256:" + 64 * "0", TINY, TWO_CHUNKS)
+        farm.submit("sha256:" + 64 * "0", TINY, SHORT)
     with pytest.raises(SceneRejected, match="upload"):
-        farm.submit("../../etc/passwd", TINY, TWO_CHUNKS)
+        farm.submit("../../etc/passwd", TINY, SHORT)
     with pytest.raises(SettingsRejected, match="sensor"):
-        farm.submit(scene.digest, TINY.model_copy(update={"sensor": 5}), TWO_CHUNKS)
+        farm.submit(scene.digest, TINY.model_copy(update={"sensor": 5}), SHORT)
     tight = Farm.connect(settings.model_copy(update={"max_pixels": 100, "max_samples": 10, "max_seconds": 5.0}))
     with pytest.raises(SettingsRejected, match="100 pixels"):
         tight.submit(scene.digest, TINY, StopCriterion(samples=1))
     small = TINY.model_copy(update={"width": 8, "height": 8})
     with pytest.raises(SettingsRejected, match="at most 10"):
-        tight.submit(scene.digest, small, TWO_CHUNKS)
+        tight.submit(scene.digest, small, SHORT)
     with pytest.raises(SettingsRejected, match="at most 5"):
         tight.submit(scene.digest, small, StopCriterion(seconds=6))
     assert farm.jobs() == []
@@ -75,9 +76,9 @@ def test_an_error_alone_gets_a_time_limit(farm: Farm, scene: SceneRecord, settin
 
 
 def test_jobs_wait_in_order_until_a_worker_comes(farm: Farm, scene: SceneRecord) -> None:
-    first = farm.submit(scene.digest, TINY, TWO_CHUNKS)
-    second = farm.submit(scene.digest, TINY, TWO_CHUNKS)
-    urgent = farm.submit(scene.digest, TINY, TWO_CHUNKS, priority=5)
+    first = farm.submit(scene.digest, TINY, SHORT)
+    second = farm.submit(scene.digest, TINY, SHORT)
+    urgent = farm.submit(scene.digest, TINY, SHORT, priority=5)
     assert [job.queue_position for job in farm.jobs()] == [1, 3, 2]
     assert [job.id for job in farm.jobs(2)] == [urgent.id, second.id]
     cancelled = farm.cancel(first.id)
@@ -91,7 +92,7 @@ def test_jobs_wait_in_order_until_a_worker_comes(farm: Farm, scene: SceneRecord)
 
 def test_a_job_from_submit_to_the_final_image(farm: Farm, scene: SceneRecord, hire: Hire, tmp_path: Path) -> None:
     hire()
-    job = farm.submit(scene.digest, TINY, TWO_CHUNKS)
+    job = farm.submit(scene.digest, TINY, SHORT)
 
     async def listen() -> list[Event]:
         return [event async for event in farm.follow(job.id)]
@@ -99,28 +100,31 @@ def test_a_job_from_submit_to_the_final_image(farm: Farm, scene: SceneRecord, hi
     events = asyncio.run(asyncio.wait_for(listen(), 60))
     assert [event.id for event in events] == list(range(1, len(events) + 1))
     assert [event.data["state"] for event in events if event.type == "state"] == ["queued", "rendering", "completed"]
-    assert [event.data["revision"] for event in events if event.type == "image"] == [1, 2]
+    revisions = [event.data["revision"] for event in events if event.type == "image"]
+    assert revisions == list(range(1, len(revisions) + 1))
+    assert len(revisions) >= 2
     ended = finished(farm, job.id)
-    assert (ended.state, ended.samples_done, ended.chunks_done, ended.image_revision) == ("completed", 2048, 2, 2)
+    assert (ended.state, ended.samples_done, ended.chunks_done) == ("completed", SAMPLES, CHUNKS)
+    assert ended.image_revision == len(revisions)
     assert ended.relative_error is not None
     assert ended.relative_error > 0
     assert ended.finished is not None
 
     image = farm.image(job.id)
     assert image is not None
-    assert image.revision == 2
+    assert image.revision == len(revisions)
     path = tmp_path / "image.exr"
     path.write_bytes(image.data)
     parts, attributes = read_exr(path)
     assert set(parts) == {"image", "standard error"}
-    assert attributes["samples"] == 2048
-    assert attributes["chunks"] == "0-1"
+    assert attributes["samples"] == SAMPLES
+    assert attributes["chunks"] == f"0-{CHUNKS - 1}"
     assert attributes["integrator"] == "mi_path"
     assert attributes["renderDigest"] == job.digest
     assert attributes["version:mitsuba"] == "3.9.1"
     pixels = farm.pixels(job.id)
     assert pixels is not None
-    assert pixels[0] == 2
+    assert pixels[0] == len(revisions)
     np.testing.assert_array_equal(pixels[1], parts["image"])
     assert pixels[1].mean() > 0
     assert pixels[2].max() > 0
@@ -132,13 +136,13 @@ def test_a_job_from_submit_to_the_final_image(farm: Farm, scene: SceneRecord, hi
     assert farm.events(job.id, events[-2].id) == events[-1:]
 
     # The same digest again: every chunk is there, nothing is rendered, the image is the same one.
-    again = finished(farm, farm.submit(scene.digest, TINY, TWO_CHUNKS).id, 10)
+    again = finished(farm, farm.submit(scene.digest, TINY, SHORT).id, 10)
     same = farm.image(again.id)
     assert again.digest == job.digest
     assert same is not None
     assert (same.key, same.data) == (image.key, image.data)
-    more = finished(farm, farm.submit(scene.digest, TINY, StopCriterion(samples=4096)).id)
-    assert more.chunks_done == 3
+    more = finished(farm, farm.submit(scene.digest, TINY, StopCriterion(samples=2 * SAMPLES)).id)
+    assert more.chunks_done == chunk_count(TINY, 2 * SAMPLES) > CHUNKS
 
 
 def test_cancel_keeps_all_that_was_rendered(farm: Farm, scene: SceneRecord, hire: Hire) -> None:
@@ -209,16 +213,16 @@ def test_jobs_at_once_share_one_context_and_the_chunks(
 def test_a_settings_error_of_the_renderer_reaches_the_user(farm: Farm, scene: SceneRecord, hire: Hire) -> None:
     hire()
     wrong = TINY.model_copy(update={"integrator": "mi_aov"})  # needs parameters that settings do not have
-    job = finished(farm, farm.submit(scene.digest, wrong, TWO_CHUNKS).id)
+    job = finished(farm, farm.submit(scene.digest, wrong, SHORT).id)
     assert job.state == "failed"
     assert job.message is not None
     assert "\n" not in job.message
-    assert farm.job(farm.submit(scene.digest, TINY, TWO_CHUNKS).id) is not None
+    assert farm.job(farm.submit(scene.digest, TINY, SHORT).id) is not None
 
 
 def test_a_lost_redis_is_rebuilt_from_the_store(farm: Farm, parts: Parts, scene: SceneRecord, hire: Hire) -> None:
     hire()
-    done = finished(farm, farm.submit(scene.digest, TINY, TWO_CHUNKS).id)
+    done = finished(farm, farm.submit(scene.digest, TINY, SHORT).id)
     image = farm.image(done.id)
     running = farm.submit(scene.digest, TINY, StopCriterion(samples=2**20))
     wait_for(lambda: len(parts.store.keys("chunks")) >= 3, 60)
@@ -227,7 +231,7 @@ def test_a_lost_redis_is_rebuilt_from_the_store(farm: Farm, parts: Parts, scene:
     assert farm.image(done.id) == image
     back = farm.job(done.id)
     assert back is not None
-    assert (back.state, back.samples_done) == ("completed", 2048)
+    assert (back.state, back.samples_done) == ("completed", SAMPLES)
     wait_for(lambda: (seen := farm.job(running.id)) is not None and seen.chunks_done >= 3, 30)
     farm.cancel(running.id)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from elps_core.estimate.film import Accumulation
 from elps_core.settings import RenderSettings, StopCriterion
-from tests.worker.conftest import TINY, children, finished, wait_for
+from tests.worker.conftest import TINY, children, chunk_count, finished, wait_for
 from tests.worker.test_jobs import GUIDED
 from worker.farm import Farm
 from worker.leases import Work
@@ -27,7 +27,10 @@ from worker.tasks import GIVEN_UP
 Hire = Callable[[], subprocess.Popen[bytes]]
 
 LONG = TINY.model_copy(update={"max_depth": 32})
-THREE_CHUNKS = StopCriterion(samples=4096)
+STOP = StopCriterion(samples=8192)
+CHUNKS = chunk_count(LONG, 8192)
+LAST = CHUNKS - 1
+"""A chunk of four million samples: long enough to be hit in the middle."""
 
 
 def kill_child(worker: subprocess.Popen[bytes]) -> int:
@@ -69,13 +72,13 @@ def test_a_child_killed_in_the_middle_of_a_chunk(
     farm: Farm, parts: Parts, scene: SceneRecord, upload: Path, hire: Hire
 ) -> None:
     worker = hire()
-    job = farm.submit(scene.digest, LONG, THREE_CHUNKS)
-    wait_for(lambda: running(parts, "chunk", 2), 60)
+    job = farm.submit(scene.digest, LONG, STOP)
+    wait_for(lambda: running(parts, "chunk", LAST), 60)
     killed = kill_child(worker)
     ended = finished(farm, job.id)
     assert ended.state == "completed"
     assert children(worker.pid) != [killed]
-    check_image(farm, ended, undisturbed(upload, LONG, 3))
+    check_image(farm, ended, undisturbed(upload, LONG, CHUNKS))
 
 
 def test_a_whole_worker_killed_in_the_middle_of_a_chunk(
@@ -83,9 +86,9 @@ def test_a_whole_worker_killed_in_the_middle_of_a_chunk(
 ) -> None:
     workers = [hire(), hire()]
     names = {info.name: worker for info in farm.workers() for worker in workers if f"-{worker.pid}-" in info.name}
-    job = farm.submit(scene.digest, LONG, THREE_CHUNKS)
-    wait_for(lambda: running(parts, "chunk", 2), 60)
-    held = [name for work, name in parts.board.running().items() if work.number == 2]
+    job = farm.submit(scene.digest, LONG, STOP)
+    wait_for(lambda: running(parts, "chunk", LAST), 60)
+    held = [name for work, name in parts.board.running().items() if work.number == LAST]
     victim = names[held[0]]
     orphans = children(victim.pid)
     victim.kill()
@@ -96,7 +99,7 @@ def test_a_whole_worker_killed_in_the_middle_of_a_chunk(
     wait_for(lambda: not any(Path(f"/proc/{child}").exists() for child in orphans), 5)
     hire()
     assert len(list(temporary.glob("elps-*"))) == 2  # the next worker removes what the killed one left
-    check_image(farm, ended, undisturbed(upload, LONG, 3))
+    check_image(farm, ended, undisturbed(upload, LONG, CHUNKS))
 
 
 def test_a_scene_that_kills_every_renderer_ends_in_failed(
@@ -156,18 +159,18 @@ def test_sigterm_finishes_the_chunk_and_leaves_nothing(
 ) -> None:
     worker = hire()
     job = farm.submit(scene.digest, LONG, StopCriterion(samples=2**20))
-    wait_for(lambda: running(parts, "chunk", 1), 60)
+    wait_for(lambda: running(parts, "chunk", LAST), 60)
     family = children(worker.pid)
     stop_process(worker)
     assert worker.returncode == 0
     assert not any(Path(f"/proc/{child}").exists() for child in family)
-    assert Work("chunk", job.digest, 1) not in parts.board.in_flight()
+    assert Work("chunk", job.digest, LAST) not in parts.board.in_flight()
     assert parts.board.running() == {}
     assert farm.workers() == []
     assert list(temporary.iterdir()) == []
     seen = farm.job(job.id)
     assert seen is not None
-    assert seen.chunks_done >= 2
+    assert seen.chunks_done >= CHUNKS
     farm.cancel(job.id)
 
 

@@ -1,0 +1,107 @@
+"""What a surface is asked: values and both densities of a scattering event, in one call a vertex.
+
+A dynamic call costs more than what most BSDFs compute in it, so that everything that is needed of
+one BSDF is dispatched together. Directions are local; densities are per solid angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+
+@dataclass
+class Scattering:
+    """A smooth scattering event between two given directions."""
+
+    value: mi.Spectrum  # f |cos|, for light paths the adjoint f*
+    pdf: mi.Float  # Density of wo given wi
+    pdf_rev: mi.Float  # Density of wi given wo
+
+
+@dataclass
+class Scattered:
+    """A sampled scattering event."""
+
+    wo: mi.Vector3f
+    weight: mi.Spectrum  # f |cos| / pdf
+    pdf: mi.Float
+    pdf_rev: mi.Float  # Of a smooth event; at a Dirac event both densities cancel
+    eta: mi.Float  # Relative index of refraction passed
+    delta: mi.Bool  # Whether it is a Dirac event
+
+
+def seen_by_eye(si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
+    """Smooth scattering at a vertex of an eye path."""
+
+    def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
+        context = mi.BSDFContext(mi.TransportMode.Radiance)
+        value, pdf = bsdf.eval_pdf(context, si, wo, active)
+        return Scattering(value, pdf, bsdf.pdf(context, _reversed(si, wo), si.wi, active))
+
+    event: Scattering = dr.dispatch(si.bsdf(), ask, si, wo, active)
+    return event
+
+
+def seen_by_light(si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float, active: mi.Bool) -> Scattering:
+    """Smooth scattering at a vertex of a light path; ``cos_out`` is |wo n|, n the geometric normal.
+
+    The adjoint BSDF [thesis 2.6.1, alg. 2.1; Veach 1997 5.3.2] is the BSDF as the sensor sees it:
+    evaluated from ``wo``, so with the cosine of the direction to the light and whatever shading frame
+    the material bends to, times the ratio of geometric cosines. All strategies thus estimate one
+    integrand, bump maps and refraction included.
+    """
+
+    def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
+        value, pdf_rev = bsdf.eval_pdf(mi.BSDFContext(mi.TransportMode.Radiance), _reversed(si, wo), si.wi, active)
+        pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
+        return Scattering(value, pdf, pdf_rev)
+
+    found: Scattering = dr.dispatch(si.bsdf(), ask, si, wo, active)
+    found.value = found.value * (cos_out / _cos_in(si))
+    return found
+
+
+def sample_from_eye(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool) -> Scattered:
+    """Draw the next direction of an eye path."""
+
+    def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool) -> Scattered:
+        context = mi.BSDFContext(mi.TransportMode.Radiance)
+        sample, weight = bsdf.sample(context, si, u_lobe, u, active)
+        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        pdf_rev = bsdf.pdf(context, _reversed(si, sample.wo), si.wi, active & ~delta)
+        return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta)
+
+    event: Scattered = dr.dispatch(si.bsdf(), ask, si, u_lobe, u, active)
+    return event
+
+
+def sample_from_light(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool) -> Scattered:
+    """Draw the next direction of a light path; its weight is that of the adjoint BSDF."""
+
+    def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool) -> Scattered:
+        sample, specular = bsdf.sample(mi.BSDFContext(mi.TransportMode.Importance), si, u_lobe, u, active)
+        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        radiance = mi.BSDFContext(mi.TransportMode.Radiance)
+        value, pdf_rev = bsdf.eval_pdf(radiance, _reversed(si, sample.wo), si.wi, active & ~delta)
+        # A Dirac event's weight is given for wi to wo: its own cosines are exchanged.
+        exchange = dr.abs(mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(sample.wo))
+        weight = dr.select(delta, specular * exchange, value / sample.pdf)
+        return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta)
+
+    found: Scattered = dr.dispatch(si.bsdf(), ask, si, u_lobe, u, active)
+    found.weight = found.weight * (dr.abs(dr.dot(si.to_world(found.wo), si.n)) / _cos_in(si))
+    return found
+
+
+def _reversed(si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.SurfaceInteraction3f:
+    """The interaction as a walk meets it that arrives from ``wo``."""
+    other = mi.SurfaceInteraction3f(si)
+    other.wi = wo
+    return other
+
+
+def _cos_in(si: mi.SurfaceInteraction3f) -> mi.Float:
+    return dr.abs(dr.dot(si.to_world(si.wi), si.n))

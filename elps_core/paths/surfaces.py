@@ -1,0 +1,41 @@
+"""The scene as connections see it: what stands between two points, and what can scatter at all."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from elps_core.errors import SceneRejected
+
+FRAME_MAPS = ("NormalMap", "BumpMap")
+"""Materials that bend the shading frame, as their descriptions name them."""
+
+
+class Surfaces:
+    """A scene's surfaces.
+
+    Raises:
+        SceneRejected: participating media, which would be rendered wrong.
+    """
+
+    def __init__(self, scene: mi.Scene) -> None:
+        shapes = scene.shapes()
+        if any(shape.is_medium_transition() for shape in shapes):
+            raise SceneRejected("participating media are not supported by this integrator yet: use 'mi_volpath'")
+        self.scene = scene
+        descriptions = {str(shape.bsdf()) for shape in shapes}
+        self.bends_frames = any(name in text for text in descriptions for name in FRAME_MAPS)
+        """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
+
+    def shadowed(self, si: mi.SurfaceInteraction3f, target: mi.Point3f, active: mi.Bool) -> mi.Bool:
+        """Whether something stands between a surface point and a point on another surface."""
+        return self.scene.ray_test(si.spawn_ray_to(target), active)
+
+    def may_scatter(self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.Bool:
+        """False where a surface that only reflects would have to transmit: spares a shadow ray.
+
+        ``wo`` is local. A bent frame may see ``wo`` on its other side, so there nothing is ruled out.
+        """
+        if self.bends_frames:
+            return mi.Bool(True)
+        transmits = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Transmission)
+        return transmits | (mi.Frame3f.cos_theta(si.wi) * mi.Frame3f.cos_theta(wo) > 0.0)
