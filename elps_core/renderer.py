@@ -25,7 +25,7 @@ from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.settings import RenderSettings
 
-DEPTH_PROPERTIES = ("path", "volpath", "volpathmis", "ptracer")
+DEPTH_PROPERTIES = ("path", "volpath", "volpathmis", "ptracer", "prb", "prbvolpath")
 """Mitsuba integrators that take ``max_depth`` and ``rr_depth``."""
 
 

@@ -25,7 +25,7 @@ MAX_PIXELS_SIDE = 16384
 
 BUILT_INTEGRATORS = ("bdpt",)
 """Integrators of our own that exist; ``mi_<name>`` names any integrator plugin of Mitsuba."""
-MITSUBA_BASELINES = ("path", "volpath", "volpathmis", "ptracer", "direct", "aov", "depth", "moment")
+MITSUBA_BASELINES = ("path", "volpath", "volpathmis", "ptracer", "prb", "prbvolpath", "direct", "depth")
 """Mitsuba integrators that may be named as ``mi_<name>``."""
 NOT_BUILT: dict[tuple[str, str], str] = {
     ("integrator", "path"): "integrator 'path' is not built yet: use 'bdpt' or 'mi_path'",

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from itertools import count
 from typing import NamedTuple
 
+from elps_core.estimate.stats import MIN_CHUNKS
 from worker.models import FINAL_STATES, ContextState, Job
 from worker.state import JobEntry
 
@@ -53,7 +54,7 @@ def decide(
     job = entry.job
     if job.state in FINAL_STATES:
         return Decision()
-    if entry.merged and (_reached(job, now) or _planned(job, entry.merged, chunk_spp)):
+    if entry.merged and (_reached(entry, now) or _planned(job, entry.merged, chunk_spp)):
         return Decision(finish=True)
     if context in ("missing", "failed"):
         return Decision(build_context=True)
@@ -139,11 +140,12 @@ def eta_seconds(entry: JobEntry, now: float) -> float | None:
     return max(min(estimates), 0.0) if estimates else None
 
 
-def _reached(job: Job, now: float) -> bool:
+def _reached(entry: JobEntry, now: float) -> bool:
     """Whether seconds or error are met; samples are a set of chunks, see :func:`_planned`."""
-    stop = job.stop
+    job, stop = entry.job, entry.job.stop
     seconds = stop.seconds is not None and job.started is not None and now - job.started >= stop.seconds
-    error = stop.error is not None and job.relative_error is not None and job.relative_error <= stop.error
+    known = job.relative_error is not None and len(entry.merged) >= MIN_CHUNKS
+    error = stop.error is not None and known and (job.relative_error or 0.0) <= stop.error
     return seconds or error
 
 

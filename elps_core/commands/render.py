@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from elps_core import options
 from elps_core.errors import SettingsRejected
+from elps_core.estimate.stats import MIN_CHUNKS
 from elps_core.settings import RenderSettings, StopCriterion
 
 if TYPE_CHECKING:
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 RESERVE = 0.95
 """Share of the time left that the last chunk is sized for: rates vary by a few percent."""
-MIN_CHUNKS = 4
-"""Chunks that a render has at least: with fewer, the scatter of its error estimate is as large as itself."""
 
 
 def render(

@@ -11,6 +11,9 @@ DARK = 0.1
 """Pixels darker than this share of the image's mean count as if they were that bright, so that a
 few nearly black pixels do not decide the figure."""
 
+MIN_CHUNKS = 4
+"""Chunks before a render may end by its error: with fewer, the scatter of the estimate is as large as itself."""
+
 Array = NDArray[np.floating[Any]]
 
 

@@ -81,9 +81,14 @@ def test_enough_samples_finish() -> None:
 
 def test_a_small_error_finishes() -> None:
     stop = StopCriterion(error=0.1)
-    assert decided(entry(stop, merged=(0, 1), relative_error=0.1)).finish
-    assert not decided(entry(stop, merged=(0, 1), relative_error=0.11)).finish
+    assert decided(entry(stop, merged=(0, 1, 2, 3), relative_error=0.1)).finish
+    assert not decided(entry(stop, merged=(0, 1, 2, 3), relative_error=0.11)).finish
     assert not decided(entry(stop, merged=(0,), relative_error=None)).finish
+
+
+def test_an_error_that_few_chunks_claim_is_not_believed() -> None:
+    stop = StopCriterion(error=0.1)
+    assert not decided(entry(stop, merged=(0, 1), relative_error=0.01)).finish
 
 
 def test_time_finishes_but_never_without_an_image() -> None:
