@@ -80,6 +80,8 @@ def render(
         task = progress.add_task("loading", total=None)
         wanted = (settings.width, settings.height) if settings.width and settings.height else None
         loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=wanted)
+        for warning in loaded.summary.warnings:
+            console.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
         preparation = _Context(None, False, 0.0)
         if settings.needs_context:
             preparation = _prepare_context(loaded, settings, context, progress)

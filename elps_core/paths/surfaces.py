@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from elps_core.errors import SceneRejected
-
 FRAME_MAPS = ("NormalMap", "BumpMap")
 """Materials that bend the shading frame, as their descriptions name them."""
 
 
 class Surfaces:
-    """A scene's surfaces.
-
-    Raises:
-        SceneRejected: participating media, which would be rendered wrong.
-    """
+    """A scene's surfaces. Participating media are left out, as Mitsuba's ``path`` leaves them out."""
 
     def __init__(self, scene: mi.Scene) -> None:
         shapes = scene.shapes()
-        if any(shape.is_medium_transition() for shape in shapes):
-            raise SceneRejected("participating media are not supported by this integrator yet: use 'mi_volpath'")
         self.scene = scene
         descriptions = {str(shape.bsdf()) for shape in shapes}
         self.bends_frames = any(name in text for text in descriptions for name in FRAME_MAPS)

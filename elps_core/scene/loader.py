@@ -34,6 +34,7 @@ _EXPECTED = {
     "shape": "the scene has no shapes: there is nothing to see",
 }
 """Element -> the warning where a scene has none."""
+_MEDIUM = "the scene has participating media, which bdpt and mi_path leave out: choose mi_volpath to see them"
 _TOO_LARGE = "the scene needs more memory than there is: make its meshes and images smaller"
 _LOCATION = re.compile(r"\(line (\d{1,9}), col \d+\)")
 
@@ -311,5 +312,10 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene) -> SceneSummary:
         bsdfs=tuple(sorted({node.type for node in objects if node.tag == "bsdf"})),
         shapes=sum(node.tag == "shape" for node in objects),
         triangles=measure.triangles(scene),
-        warnings=tuple(text for tag, text in _EXPECTED.items() if not any(node.tag == tag for node in objects)),
+        warnings=_warnings({node.tag for node in objects}),
     )
+
+
+def _warnings(tags: set[str]) -> tuple[str, ...]:
+    absent = [text for tag, text in _EXPECTED.items() if tag not in tags]
+    return (*absent, *([_MEDIUM] if "medium" in tags else []))

@@ -79,6 +79,13 @@ def test_the_summary_counts(tmp_path: Path) -> None:
     assert (summary.shapes, summary.triangles, summary.warnings) == (2, 13, ())
 
 
+def test_media_are_warned_about(tmp_path: Path) -> None:
+    medium = '<shape type="cube"><medium type="homogeneous" name="interior"/></shape>'
+    warnings = load(tmp_path, scene_xml(medium)).summary.warnings
+    assert len(warnings) == 1
+    assert "mi_volpath" in warnings[0]
+
+
 def test_a_scene_without_light_or_shapes_is_warned_about(tmp_path: Path) -> None:
     warnings = load(tmp_path, scene_xml("", light="")).summary.warnings
     assert len(warnings) == 2
