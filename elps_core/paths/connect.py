@@ -19,8 +19,8 @@ from elps_core.paths.vertex import Vertex
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, SensorSample
 
-SHADOW = 1.0 - 1e-3
-"""Share of a shadow segment that is tested; Mitsuba's own shadow rays keep the same distance."""
+SHADOW = 1.0 - 1e-4
+"""Share of the segment from the sensor that is tested for shadows: ends short of the surface itself."""
 
 
 def hit_emitter(
@@ -96,9 +96,11 @@ def connect_sensor(
     sample = camera.connect(vertex.si, aperture, active)
     wo = vertex.si.to_local(sample.direction)
     active = active & sample.valid & surfaces.may_scatter(vertex.si, wo)
-    ray = vertex.si.spawn_ray(sample.direction)
-    # What lies before the near clip plane casts no shadow on the film.
-    ray.maxt = (sample.distance - sample.near) * SHADOW
+    # From the near clip plane, as a primary ray comes: a ray that left the surface would start off it by
+    # Mitsuba's offset, half a millimetre in a room, and meet the edges of cracks that the sensor sees past.
+    length = sample.distance - sample.near
+    ray = mi.Ray3f(vertex.si.p + sample.direction * length, -sample.direction)
+    ray.maxt = length * SHADOW
     active = active & ~surfaces.scene.ray_test(ray, active)
     cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
     seen = seen_by_light(vertex.si, wo, cosine, active)

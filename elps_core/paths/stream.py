@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-SEQUENCE = 0x9E3779B97F4A7C15
-"""Sets the sequence constants apart from the states (the golden ratio, in 64 bits)."""
+TEA_ROUNDS = 8
+"""Rounds of the tiny encryption algorithm; six are enough, four are not."""
 
 
 def key_seed(*key: int) -> int:
@@ -22,8 +22,8 @@ def key_seed(*key: int) -> int:
 class Stream:
     """Independent uniform numbers in [0, 1), one PCG32 sequence per lane.
 
-    Lanes of one stream have different sequence constants, streams of different keys different
-    states: no two (key, lane) pairs share a sequence but by a 2^-64 accident.
+    State and sequence constant of a lane are hashes of its number and of the stream's key: no two
+    (key, lane) pairs share a sequence but by a rare accident of 64 bits each.
     """
 
     rng: mi.PCG32
@@ -31,10 +31,14 @@ class Stream:
     @staticmethod
     def of(lanes: int, *key: int) -> Stream:
         """A stream of ``lanes`` lanes named by ``key``, such as (seed, chunk, pass)."""
-        state = key_seed(*key)
+        # Hashed per lane: PCG32 started from consecutive numbers is a lattice over the lanes.
         # Opaque, so that the key is data of the kernel and not part of its code.
-        start = dr.opaque(mi.UInt64, state)
-        return Stream(mi.PCG32(size=lanes, initstate=start, initseq=start ^ SEQUENCE))
+        seed = key_seed(*key)
+        low, high = (dr.opaque(mi.UInt32, half) for half in (seed & 0xFFFFFFFF, seed >> 32))
+        lane = dr.arange(mi.UInt32, lanes)
+        state = mi.sample_tea_64(lane, low, TEA_ROUNDS)
+        sequence = mi.sample_tea_64(lane, high, TEA_ROUNDS)
+        return Stream(mi.PCG32(initstate=state, initseq=sequence))
 
     def next_1d(self) -> mi.Float:
         """One number per lane."""

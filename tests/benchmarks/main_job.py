@@ -1,6 +1,6 @@
 """The main job's figures: speed beside Mitsuba's path tracer, what the adjoint image is worth, latencies.
 
-``python -m tests.benchmarks.main_job`` takes about twenty minutes on two cores, prints a table and writes
+``python -m tests.benchmarks.main_job`` takes about a quarter of an hour on two cores, prints a table and writes
 docs/benchmarks.md. Run it on a machine that does nothing else. ``--seconds`` shortens the comparison.
 """
 
@@ -27,7 +27,7 @@ REPORT = Path("docs/benchmarks.md")
 TRIM = 0.01
 """Share of the worst pixels that the trimmed figure leaves out."""
 SIZE = "256x256"
-RUNS = 3
+RUNS = 2
 WAYS = {
     "bdpt, power": ["--light-sampling", "power"],
     "bdpt, adjoint": ["--light-sampling", "adjoint"],
@@ -37,7 +37,7 @@ WAYS = {
 
 
 def main(
-    seconds: Annotated[float, typer.Option()] = 60.0, reference_seconds: Annotated[float, typer.Option()] = 300.0
+    seconds: Annotated[float, typer.Option()] = 60.0, reference_seconds: Annotated[float, typer.Option()] = 240.0
 ) -> None:
     """Run all three benchmarks and write the report."""
     with tempfile.TemporaryDirectory(prefix="elps-bench-") as name:
