@@ -210,14 +210,26 @@ def test_jobs_at_once_share_one_context_and_the_chunks(
     assert not [key for key in parts.store.keys("contexts") if key.count("/") > 1]  # no checkpoint is left
 
 
-def test_a_settings_error_of_the_renderer_reaches_the_user(farm: Farm, scene: SceneRecord, hire: Hire) -> None:
+SKY = """<scene version="3.0.0">
+<sensor type="perspective"><film type="hdrfilm">
+<integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+<shape type="sphere"/><emitter type="constant"/>
+</scene>"""
+"""Lit by an environment, which bdpt refuses and mi_path renders."""
+
+
+def test_what_the_renderer_refuses_reaches_the_user(farm: Farm, tmp_path: Path, hire: Hire) -> None:
     hire()
-    wrong = TINY.model_copy(update={"integrator": "mi_aov"})  # needs parameters that settings do not have
-    job = finished(farm, farm.submit(scene.digest, wrong, SHORT).id)
+    upload = tmp_path / "sky.xml"
+    upload.write_text(SKY)
+    sky, _ = farm.add_scene(upload, "sky.xml")
+    wrong = TINY.model_copy(update={"integrator": "bdpt", "light_sampling": "power"})
+    job = finished(farm, farm.submit(sky.digest, wrong, SHORT).id)
     assert job.state == "failed"
     assert job.message is not None
+    assert "constant" in job.message
     assert "\n" not in job.message
-    assert farm.job(farm.submit(scene.digest, TINY, SHORT).id) is not None
+    assert finished(farm, farm.submit(sky.digest, TINY, SHORT).id).state == "completed"
 
 
 def test_a_lost_redis_is_rebuilt_from_the_store(farm: Farm, parts: Parts, scene: SceneRecord, hire: Hire) -> None:
