@@ -7,7 +7,7 @@ from importlib.metadata import entry_points
 
 import typer
 
-from elps_core.commands import context, render, scene
+from elps_core.commands import context, render, scene, strategies
 from elps_core.errors import ElpsError
 
 GROUP = "elps.commands"
@@ -27,6 +27,7 @@ def application() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.command("render")(render.render)
+    app.command("strategies")(strategies.strategies)
     app.add_typer(scene.app, name="scene")
     app.add_typer(context.app, name="context")
     for entry in sorted(entry_points(group=GROUP), key=lambda point: point.name):

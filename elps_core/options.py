@@ -13,10 +13,11 @@ from elps_core.errors import SettingsRejected
 from elps_core.settings import RenderSettings, StopCriterion, first_problem, with_overrides
 
 Scene = Annotated[Path, typer.Argument(metavar="SCENE", help="An .xml, a .zip or a folder.")]
-Integrator = Annotated[str | None, typer.Option(help="bdpt, or mi_path and other integrators of Mitsuba.")]
+Integrator = Annotated[str | None, typer.Option(help="path, light, bdpt or pssmlt; Mitsuba's own: mi_path ...")]
 LightSampling = Annotated[str | None, typer.Option(help="uniform, power or adjoint.")]
 DirectionSampling = Annotated[str | None, typer.Option(help="scattering or context.")]
 Roulette = Annotated[str | None, typer.Option(help="throughput, albedo, context or none.")]
+Heuristic = Annotated[str | None, typer.Option(help="power, balance, maximum or cutoff.")]
 Spp = Annotated[int | None, typer.Option(help="Stop after this many samples per pixel.")]
 Seconds = Annotated[float | None, typer.Option(help="Stop after this time, everything counted.")]
 Error = Annotated[float | None, typer.Option(help="Stop at this relative error.")]
@@ -54,7 +55,7 @@ def settings_from(given: dict[str, Any], size: str | None, assignments: list[str
     for assignment in assignments or []:
         name, separator, text = assignment.partition("=")
         if not separator:
-            raise SettingsRejected("give --set as NAME=VALUE, for example context.resolution=32")
+            raise SettingsRejected("give --set as NAME=VALUE, for example pssmlt.chains=4096")
         try:
             values[name] = json.loads(text)
         except ValueError:

@@ -15,18 +15,12 @@ from elps_core.context.store import GlobalContext
 from elps_core.errors import ContextMismatch, RenderFailed, SettingsRejected
 from elps_core.estimate.film import Chunk
 from elps_core.estimate.schedule import chunk_spp
-from elps_core.integrators.bdpt import Bdpt
-from elps_core.integrators.frame import FrameRenderer
-from elps_core.paths.roulette import RouletteRule
+from elps_core.integrators import make
 from elps_core.paths.stream import key_seed
 from elps_core.sampling.start import StartDensity, power_table, uniform_table
 from elps_core.scene.emission import Emission
 from elps_core.scene.loader import LoadedScene
-from elps_core.scene.sensors import Camera
-from elps_core.settings import RenderSettings
-
-DEPTH_PROPERTIES = ("path", "volpath", "volpathmis", "ptracer", "prb", "prbvolpath")
-"""Mitsuba integrators that take ``max_depth`` and ``rr_depth``."""
+from elps_core.settings import DEPTH_BASELINES, RenderSettings
 
 
 class Renderer:
@@ -41,13 +35,14 @@ class Renderer:
         self.scene = scene
         self.settings = settings
         self.size = scene.size
-        self._frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
-        self._baseline = self._mitsuba_integrator() if self._frames is None else None
+        self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
+        """What renders frames by one of our own integrators; None for one of Mitsuba's."""
+        self._baseline = self._mitsuba_integrator() if self.frames is None else None
 
-    def _prepare(self, context: GlobalContext | None) -> FrameRenderer:
+    def _prepare(self, context: GlobalContext | None) -> make.Frames:
         settings = self.settings
         emission = Emission(self.scene.scene)
-        if settings.light_sampling == "adjoint":
+        if settings.needs_context:
             if context is None:
                 raise ContextMismatch("light sampling 'adjoint' needs a context: build one first")
             if context.scene != self.scene.digest:
@@ -56,19 +51,12 @@ class Renderer:
         else:
             table = uniform_table(emission) if settings.light_sampling == "uniform" else power_table(emission)
             lights = StartDensity(emission, table)
-        bdpt = Bdpt(
-            self.scene.scene,
-            Camera(self.scene.sensor),
-            lights,
-            max_depth=settings.max_depth,
-            roulette=RouletteRule(settings.roulette, settings.rr_depth),
-        )
-        return FrameRenderer(bdpt, self.scene.sensor.film())
+        return make.frames(self.scene.scene, self.scene.sensor, lights, settings)
 
     def _mitsuba_integrator(self) -> mi.Integrator:
         name = self.settings.integrator[3:]
         description: dict[str, Any] = {"type": name}
-        if name in DEPTH_PROPERTIES:
+        if name in DEPTH_BASELINES:
             never = self.settings.max_depth + 1
             description["max_depth"] = self.settings.max_depth
             description["rr_depth"] = never if self.settings.roulette == "none" else self.settings.rr_depth
@@ -91,15 +79,15 @@ class Renderer:
         """
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
-        if self._frames is not None:
-            frame = self._frames.render(count, (self.settings.seed, index))
-            image, weight = np.array(frame.image), np.array(frame.weight)
+        if self.frames is not None:
+            frame = self.frames.render(count, (self.settings.seed, index))
+            image, weight, statistics = np.array(frame.image), np.array(frame.weight), frame.statistics
         else:
             image = self._render_baseline(count, index)
-            weight = np.full(image.shape[:2], count, np.float32)
+            weight, statistics = np.full(image.shape[:2], count, np.float32), {}
         if not np.isfinite(image).all():
             raise RenderFailed("the image holds values that are not numbers: check the scene's materials and lights")
-        return Chunk(index, count, time.perf_counter() - begin, image, weight)
+        return Chunk(index, count, time.perf_counter() - begin, image, weight, statistics)
 
     def _render_baseline(self, spp: int, index: int) -> NDArray[np.float32]:
         seed = key_seed(self.settings.seed, index) & 0xFFFFFFFF

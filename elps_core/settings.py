@@ -7,9 +7,12 @@ lets jobs share work (see :mod:`elps_core.scene.digest`).
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from elps_core.errors import SettingsRejected
 
@@ -17,25 +20,33 @@ Variant = Literal["llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_rg
 LightSampling = Literal["uniform", "power", "adjoint"]
 DirectionSampling = Literal["scattering", "context"]
 Roulette = Literal["none", "throughput", "albedo", "context"]
+HeuristicKind = Literal["balance", "power", "maximum", "cutoff"]
 
 MAX_DEPTH = 256
 """Longest path in segments. Walks store every light vertex, so memory grows with it."""
 MAX_PIXELS_SIDE = 16384
 """Largest film side in pixels that the settings accept; services set tighter limits."""
 
-BUILT_INTEGRATORS = ("bdpt",)
+BUILT_INTEGRATORS = ("path", "light", "bdpt", "pssmlt")
 """Integrators of our own that exist; ``mi_<name>`` names any integrator plugin of Mitsuba."""
-MITSUBA_BASELINES = ("path", "volpath", "volpathmis", "ptracer", "prb", "prbvolpath", "direct", "depth")
+DEPTH_BASELINES = ("path", "volpath", "volpathmis", "ptracer", "prb", "prbvolpath")
+"""Mitsuba integrators that take ``max_depth`` and ``rr_depth``."""
+MITSUBA_BASELINES = (*DEPTH_BASELINES, "direct", "depth")
 """Mitsuba integrators that may be named as ``mi_<name>``."""
+INTEGRATORS = (*BUILT_INTEGRATORS, *(f"mi_{name}" for name in MITSUBA_BASELINES))
+"""All that the setting ``integrator`` takes."""
 NOT_BUILT: dict[tuple[str, str], str] = {
-    ("integrator", "path"): "integrator 'path' is not built yet: use 'bdpt' or 'mi_path'",
-    ("integrator", "light"): "integrator 'light' is not built yet: use 'bdpt' or 'mi_ptracer'",
-    ("integrator", "pssmlt"): "integrator 'pssmlt' is not built yet: use 'bdpt'",
     ("integrator", "auto"): "integrator 'auto' is not built yet: use 'bdpt' or 'mi_path'",
     ("direction_sampling", "context"): "direction sampling 'context' is not built yet: use 'scattering'",
     ("roulette", "context"): "roulette 'context' is not built yet: use 'albedo', 'throughput' or 'none'",
 }
 """What the contract names and this version refuses, with the line that is shown."""
+
+_STRATEGIES = re.compile(r"^(all|[0-9]{1,3},[0-9]{1,3}( [0-9]{1,3},[0-9]{1,3}){0,255})$")
+VISIBLE = (0, 2)
+"""The one strategy (s, t) of bidirectional path tracing for light that the sensor sees directly."""
+_VERTICES = 3
+"""Vertices of a path that meets a surface, at least."""
 
 
 class _Model(BaseModel):
@@ -64,11 +75,68 @@ class ContextSettings(_Model):
     """Random stream of the preprocessing pass."""
 
 
+class PathSettings(_Model):
+    """Unidirectional path tracing from the sensor."""
+
+    next_event: bool = True
+    """Whether every vertex is also joined to a light point; without it only paths that meet an emitter count."""
+
+
+class LightSettings(_Model):
+    """Path tracing from the lights."""
+
+    connect: bool = True
+    """Whether every vertex is joined to the sensor; without it only paths that meet its aperture count."""
+
+
+class BdptSettings(_Model):
+    """Which strategies of bidirectional path tracing are shown: a tool to look into a render."""
+
+    strategies: Annotated[str, Field(json_schema_extra={"pattern": _STRATEGIES.pattern})] = "all"
+    """``all``, or pairs s,t of numbers of light and eye vertices, such as ``1,3`` or ``0,4 2,2``; kept in order."""
+    weighted: bool = True
+    """Whether the strategies keep their weights among all; without, each is the whole of its paths' light."""
+
+    @field_validator("strategies")
+    @classmethod
+    def _in_order(cls, text: str) -> str:
+        if not _STRATEGIES.fullmatch(text):
+            raise ValueError("give 'all' or pairs s,t of light and eye vertices, for example '1,3' or '0,4 2,2'")
+        return text if text == "all" else " ".join(f"{s},{t}" for s, t in sorted(_pairs(text)))
+
+    @model_validator(mode="after")
+    def _check(self) -> BdptSettings:
+        if self.strategies == "all" and not self.weighted:
+            raise ValueError("without weights every strategy is a whole image: choose strategies to show")
+        return self
+
+    def pairs(self) -> frozenset[tuple[int, int]] | None:
+        """The chosen (s, t); None for all."""
+        return None if self.strategies == "all" else _pairs(self.strategies)
+
+
+def _pairs(text: str) -> frozenset[tuple[int, int]]:
+    return frozenset((int(s), int(t)) for s, t in (pair.split(",") for pair in text.split()))
+
+
+class PssmltSettings(_Model):
+    """Metropolis light transport in primary sample space over bidirectional paths."""
+
+    multiplexed: bool = True
+    """Whether the strategy is one more coordinate of a chain; without, a state is all strategies of a path pair."""
+    large_step: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+    """Probability of an independent proposal [thesis 5.4]."""
+    bootstrap: Annotated[int, Field(ge=1024, le=2**22)] = 65536
+    """Independent paths from which the initial states of a chunk are drawn, and its mean brightness."""
+    chains: Annotated[int, Field(ge=1, le=2**18)] = 65536
+    """Chains side by side in one chunk."""
+
+
 class RenderSettings(_Model):
     """Which image, by which algorithm. Does not say how long: see :class:`StopCriterion`."""
 
-    integrator: str = "bdpt"
-    """``bdpt``, or ``mi_<name>`` for an integrator plugin of Mitsuba (``mi_path`` is the baseline)."""
+    integrator: Annotated[str, Field(json_schema_extra={"enum": list(INTEGRATORS)})] = "bdpt"
+    """``path``, ``light``, ``bdpt`` or ``pssmlt``; or ``mi_<name>`` for an integrator of Mitsuba's own."""
     light_sampling: LightSampling = "adjoint"
     """Density of the first light vertex and of next event estimation."""
     direction_sampling: DirectionSampling = "scattering"
@@ -77,6 +145,12 @@ class RenderSettings(_Model):
     """Path depth (segments) from which on Russian roulette may end a walk."""
     max_depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] = 16
     """Longest path in segments, as Mitsuba counts: 1 is directly visible emission only."""
+    heuristic: HeuristicKind = "power"
+    """How strategies that can make the same path share its light [thesis 3.7.1]."""
+    path: PathSettings = PathSettings()
+    light: LightSettings = LightSettings()
+    bdpt: BdptSettings = BdptSettings()
+    pssmlt: PssmltSettings = PssmltSettings()
     sensor: Annotated[int, Field(ge=0)] = 0
     width: Annotated[int, Field(ge=1, le=MAX_PIXELS_SIDE)] | None = None
     """Film width in pixels; the scene's own where absent. Width and height come together."""
@@ -90,19 +164,35 @@ class RenderSettings(_Model):
         for (field, value), message in NOT_BUILT.items():
             if getattr(self, field) == value:
                 raise ValueError(message)
-        name = self.integrator
-        known = name in BUILT_INTEGRATORS or (name.startswith("mi_") and name[3:] in MITSUBA_BASELINES)
-        if not known:
-            names = ", ".join([*BUILT_INTEGRATORS, *(f"mi_{n}" for n in MITSUBA_BASELINES)])
-            raise ValueError(f"unknown integrator: choose one of {names}")
+        if self.integrator not in INTEGRATORS:
+            raise ValueError(
+                f"unknown integrator{_similar(self.integrator, INTEGRATORS)}: choose one of {', '.join(INTEGRATORS)}"
+            )
+        for s, t in sorted(self.bdpt.pairs() or ()) if self.integrator == "bdpt" else ():
+            if (s, t) != VISIBLE and not _VERTICES <= s + t <= self.max_depth + 1:
+                most = self.max_depth + 1
+                raise ValueError(
+                    f"bdpt.strategies: '{s},{t}' is none: s + t is {_VERTICES} to {most} (max_depth + 1) vertices, "
+                    f"or {VISIBLE[0]},{VISIBLE[1]} for light that is seen directly"
+                )
         if (self.width is None) != (self.height is None):
             raise ValueError("give both width and height, or neither")
         return self
 
     @property
+    def is_baseline(self) -> bool:
+        """Whether an integrator of Mitsuba's own renders."""
+        return self.integrator.startswith("mi_")
+
+    @property
+    def samples_lights(self) -> bool:
+        """Whether one of our integrators draws points on the lights."""
+        return not self.is_baseline and (self.integrator != "path" or self.path.next_event)
+
+    @property
     def needs_context(self) -> bool:
         """Whether the render samples with a global context that must exist first."""
-        return not self.integrator.startswith("mi_") and self.light_sampling == "adjoint"
+        return self.samples_lights and self.light_sampling == "adjoint"
 
 
 class StopCriterion(_Model):
@@ -126,7 +216,7 @@ def first_problem(error: ValidationError) -> str:
     """One line for a user from a pydantic error: the field, and what is wrong with it."""
     entry = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(str(part) for part in entry["loc"])
-    text = str(entry["msg"]).removeprefix("Value error, ")
+    text = _PLAINER.get(entry["type"], str(entry["msg"]).removeprefix("Value error, "))
     return f"{where}: {text}" if where else text
 
 
@@ -143,9 +233,35 @@ def with_overrides(settings: RenderSettings, assignments: dict[str, Any]) -> Ren
         for name in parents:
             target = target.get(name) if isinstance(target, dict) else None
         if not isinstance(target, dict) or leaf not in target:
-            raise SettingsRejected(f"unknown setting '{dotted}'")
+            raise SettingsRejected(f"unknown setting '{dotted}'{_similar(dotted, _names(data))}")
+        if isinstance(target[leaf], dict):
+            raise SettingsRejected(f"'{dotted}' is a group of settings: name one of {', '.join(_names(data, dotted))}")
         target[leaf] = value
     try:
         return RenderSettings.model_validate(data)
     except ValidationError as error:
         raise SettingsRejected(first_problem(error)) from None
+
+
+_PLAINER = {
+    "bool_type": "give true or false",
+    "int_type": "give a whole number",
+    "float_type": "give a number",
+    "string_type": "give a word",
+    "extra_forbidden": "unknown field: remove it or correct its name",
+}
+"""Kinds of pydantic errors whose own text speaks to programmers."""
+
+
+def _names(data: dict[str, Any], below: str = "") -> list[str]:
+    """The dotted names of all settings, or of those in one group."""
+    names = []
+    for name, value in data.items():
+        names += [f"{name}.{leaf}" for leaf in value] if isinstance(value, dict) else [name]
+    return [name for name in names if name.startswith(f"{below}.")] if below else names
+
+
+def _similar(word: str, known: Iterable[str]) -> str:
+    """The known word that was probably meant, as an end of a sentence."""
+    found = get_close_matches(word, known, n=1)
+    return f" (did you mean '{found[0]}'?)" if found else ""

@@ -6,6 +6,7 @@ Imports of what a command needs stand in the command, so that ``elps --help`` an
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -49,6 +50,7 @@ def submit(
     light_sampling: options.LightSampling = None,
     direction_sampling: options.DirectionSampling = None,
     roulette: options.Roulette = None,
+    heuristic: options.Heuristic = None,
     spp: options.Spp = None,
     seconds: options.Seconds = None,
     error: options.Error = None,
@@ -72,6 +74,7 @@ def submit(
         "light_sampling": light_sampling,
         "direction_sampling": direction_sampling,
         "roulette": roulette,
+        "heuristic": heuristic,
         "max_depth": max_depth,
         "sensor": sensor,
         "seed": seed,
@@ -82,6 +85,7 @@ def submit(
     with Client(url) as client, tempfile.TemporaryDirectory(prefix="elps-submit-") as folder:
         record = client.upload(_bundle(scene, Path(folder)))
         job = client.submit(record.digest, settings, stop, priority)
+    _warn((*record.summary["warnings"], *job.warnings))
     if not as_json:
         typer.echo(job.id)
     if wait or output is not None:
@@ -97,7 +101,9 @@ def watch(
     output: Output = None,
 ) -> None:
     """Show the progress of a job until it has ended."""
-    _exit(_watch(url, job, output))
+    ended = _watch(url, job, output)
+    _warn(ended.warnings)
+    _exit(ended)
 
 
 def demo(
@@ -128,6 +134,11 @@ def _watch(url: str, job_id: str, output: Path | None) -> Job:
         output.write_bytes(image[1])
         console.print(f"saved {output}", highlight=False, markup=False)
     return job
+
+
+def _warn(warnings: Iterable[str]) -> None:
+    for warning in warnings:
+        typer.echo(f"warning: {warning}", err=True)
 
 
 def _exit(job: Job) -> None:

@@ -24,7 +24,12 @@ class JobRequest(BaseModel):
                     "scene": EXAMPLE_DIGEST,
                     "settings": {"integrator": "bdpt", "light_sampling": "adjoint", "width": 512, "height": 512},
                     "stop": {"samples": 1024, "seconds": 600.0},
-                }
+                },
+                {
+                    "scene": EXAMPLE_DIGEST,
+                    "settings": {"integrator": "pssmlt", "pssmlt": {"large_step": 0.3}, "max_depth": 12},
+                    "stop": {"error": 0.05},
+                },
             ]
         },
     )

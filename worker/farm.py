@@ -21,6 +21,7 @@ from elps_core.context.store import load
 from elps_core.errors import ElpsError, SceneRejected, SettingsRejected
 from elps_core.io.exr import read_exr
 from elps_core.io.result import ERROR_PART, IMAGE_PART
+from elps_core.scene import reach
 from elps_core.scene.bundle import is_archive
 from elps_core.scene.digest import context_digest, render_digest
 from elps_core.scene.inspect import inspect_in_child
@@ -115,12 +116,14 @@ class Farm:
 
         Raises:
             SceneRejected: no such scene.
-            SettingsRejected: sensor out of range, or over the farm's limits.
+            SettingsRejected: sensor out of range, over the farm's limits, or no light can reach the image.
         """
         record = self.scene(scene)
         if record is None:
             raise SceneRejected("no such scene: upload it first")
-        size = self._checked_size(SceneSummary.model_validate(record.summary), settings)
+        summary = SceneSummary.model_validate(record.summary)
+        size = self._checked_size(summary, settings)
+        reach.check(summary, settings)
         context = context_digest(scene, settings.sensor, size, settings.context) if settings.needs_context else None
         known = None if context is None else self.context(context)
         hit = None if context is None else known is not None and known.state == "ready"
@@ -135,6 +138,7 @@ class Farm:
             created=time.time(),
             width=size[0],
             height=size[1],
+            warnings=reach.unreachable(summary, settings),
             context_digest=context,
             context_hit=hit,
             context_state=None if context is None else "missing" if known is None else known.state,

@@ -49,6 +49,14 @@ class ContextRecord(_Record):
     error: str | None = None
 
 
+class Statistic(_Record):
+    """A number that an algorithm says of its own work, such as the share of accepted mutations."""
+
+    mean: float
+    standard_error: float | None
+    """From the scatter of the chunks; absent with fewer than two."""
+
+
 class Job(_Record):
     """One render request and where it stands."""
 
@@ -73,6 +81,10 @@ class Job(_Record):
     image_revision: int = 0
     """Counts the published images; 0 while there is none."""
     relative_error: float | None = None
+    statistics: dict[str, Statistic] = {}
+    """What the algorithm says of its work; of pssmlt its brightness and the acceptance of its mutations."""
+    warnings: tuple[str, ...] = ()
+    """What the image will lack, because this integrator cannot find it in this scene."""
     context_digest: str | None = None
     context_hit: bool | None = None
     """True where the context existed before this job asked for it."""

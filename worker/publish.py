@@ -25,6 +25,14 @@ def publish(store: Store, job: Job, merged: Accumulation) -> str:
     if not store.exists(key):
         with tempfile.TemporaryDirectory(prefix="elps-image-") as folder:
             path = Path(folder) / "image.exr"
-            write_result(path, merged, job.settings, scene=job.scene, render=job.digest, context=job.context_digest)
+            write_result(
+                path,
+                merged,
+                job.settings,
+                scene=job.scene,
+                render=job.digest,
+                context=job.context_digest,
+                unreachable=job.warnings,
+            )
             store.put(key, path.read_bytes())
     return key

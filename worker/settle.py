@@ -15,7 +15,7 @@ from elps_core.estimate.film import Accumulation, Chunk
 from elps_core.estimate.schedule import chunk_spp
 from worker.advance import ChunkSpp, Decision, decide, eta_seconds, mergeable, publish_due
 from worker.leases import Work
-from worker.models import FINAL_STATES, ContextRecord, ContextState, Job, JobState
+from worker.models import FINAL_STATES, ContextRecord, ContextState, Job, JobState, Statistic
 from worker.parts import Parts
 from worker.publish import publish
 from worker.state import Change, JobEntry, enter, update
@@ -43,6 +43,7 @@ class _Merged(NamedTuple):
     sample_seconds: float
     """Per sample per pixel, of the chunk merged last."""
     error: float | None
+    statistics: dict[str, Statistic]
 
 
 class Settler:
@@ -108,7 +109,8 @@ class Settler:
             merged.add(chunk)
             seconds = chunk.seconds / chunk.spp
         error = entry.job.relative_error if merged.chunks == set(entry.merged) else merged.relative_error()
-        return merged, _Merged(tuple(sorted(merged.chunks)), merged.spp, merged.seconds, seconds, error)
+        statistics = {key: Statistic(**value._asdict()) for key, value in merged.statistics().items()}
+        return merged, _Merged(tuple(sorted(merged.chunks)), merged.spp, merged.seconds, seconds, error, statistics)
 
     def _context(self, job: Job) -> ContextState | None:
         """How far the context is that a job needs; *building* means that somebody is at it now."""
@@ -147,6 +149,7 @@ def _counted(entry: JobEntry, merged: _Merged, now: float) -> JobEntry:
         samples_done=merged.samples,
         chunks_done=len(merged.chunks),
         relative_error=merged.error,
+        statistics=merged.statistics,
         seconds_rendering=merged.seconds,
     )
     return update(entry, eta_seconds=None if entry.job.state in FINAL_STATES else eta_seconds(entry, now))

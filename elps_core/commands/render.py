@@ -35,6 +35,7 @@ def render(
     light_sampling: options.LightSampling = None,
     direction_sampling: options.DirectionSampling = None,
     roulette: options.Roulette = None,
+    heuristic: options.Heuristic = None,
     spp: options.Spp = None,
     seconds: options.Seconds = None,
     error: options.Error = None,
@@ -56,6 +57,7 @@ def render(
         "light_sampling": light_sampling,
         "direction_sampling": direction_sampling,
         "roulette": roulette,
+        "heuristic": heuristic,
         "max_depth": max_depth,
         "sensor": sensor,
         "seed": seed,
@@ -71,6 +73,7 @@ def render(
     device.use(settings.variant)
     from elps_core.io.result import write_result
     from elps_core.renderer import Renderer
+    from elps_core.scene import reach
     from elps_core.scene.digest import render_digest
     from elps_core.scene.loader import load_scene
     from elps_core.timing import CompileClock
@@ -80,7 +83,9 @@ def render(
         task = progress.add_task("loading", total=None)
         wanted = (settings.width, settings.height) if settings.width and settings.height else None
         loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=wanted)
-        for warning in loaded.summary.warnings:
+        reach.check(loaded.summary, settings)
+        unreachable = reach.unreachable(loaded.summary, settings)
+        for warning in (*loaded.summary.warnings, *unreachable):
             console.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
         preparation = _Context(None, False, 0.0)
         if settings.needs_context:
@@ -95,6 +100,7 @@ def render(
         scene=loaded.digest,
         render=render_digest(loaded.digest, settings, loaded.size),
         context=found.digest if found else None,
+        unreachable=unreachable,
     )
     total = time.perf_counter() - begin
     figures = {
@@ -104,6 +110,8 @@ def render(
         "spp": merged.spp,
         "context": {"digest": found.digest if found else None, "hit": preparation.hit},
         "relative_error": merged.relative_error(),
+        "statistics": {name: statistic._asdict() for name, statistic in merged.statistics().items()},
+        "warnings": [*loaded.summary.warnings, *unreachable],
         "output": str(output),
     }
     relative = figures["relative_error"]
@@ -115,6 +123,9 @@ def render(
         markup=False,
         soft_wrap=True,
     )
+    for name, (mean, error) in merged.statistics().items():
+        spread = "" if error is None else f" (standard error {error:.2g})"
+        console.print(f"{name.replace('_', ' ')} {mean:.4g}{spread}", highlight=False, markup=False)
     if as_json:
         typer.echo(json.dumps(figures))
 

@@ -13,8 +13,9 @@ from elps_core.integrators.bdpt import Bdpt
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
 from elps_core.sampling.start import StartDensity
-from elps_core.scene.emission import Emission, luminance
+from elps_core.scene.emission import Emission
 from elps_core.scene.sensors import Camera
+from elps_core.scene.spectrum import luminance
 from elps_core.settings import ContextSettings
 
 Table = NDArray[np.float64]

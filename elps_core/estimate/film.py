@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,18 @@ from safetensors.numpy import save as save_tensors
 from elps_core.estimate.stats import relative_error
 
 Image = NDArray[np.float32]
+
+_STATISTIC = "statistic "
+"""Prefix of the names of statistics in a record."""
+
+
+class Statistic(NamedTuple):
+    """A number that an algorithm says of its own work, such as the share of accepted mutations."""
+
+    mean: float
+    """Over all chunks, weighted by their samples."""
+    standard_error: float | None
+    """Of the mean, from the scatter of the chunks; None with fewer than two."""
 
 
 @dataclass(frozen=True)
@@ -29,18 +42,22 @@ class Chunk:
     """Mean radiance, linear RGB, float32 [height, width, 3]."""
     weight: Image
     """Weight of each pixel's mean, float32 [height, width]: samples times the filter's weight."""
+    statistics: Mapping[str, float] = field(default_factory=dict)
+    """Numbers that the algorithm says of its work, by name; each is a mean over the chunk's samples."""
 
     def to_bytes(self) -> bytes:
         """The chunk as one safetensors record."""
         facts = np.array([self.index, self.spp, self.seconds], np.float64)
-        return save_tensors({"facts": facts, "image": self.image, "weight": self.weight})
+        statistics = {_STATISTIC + name: np.array([value], np.float64) for name, value in self.statistics.items()}
+        return save_tensors({"facts": facts, "image": self.image, "weight": self.weight, **statistics})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Chunk:
         """The inverse of :meth:`to_bytes`."""
         record = load_tensors(data)
         index, spp, seconds = record["facts"]
-        return cls(int(index), int(spp), float(seconds), record["image"], record["weight"])
+        statistics = {name: float(values[0]) for name, values in _statistics_in(record).items()}
+        return cls(int(index), int(spp), float(seconds), record["image"], record["weight"], statistics)
 
 
 @dataclass
@@ -56,6 +73,8 @@ class Accumulation:
     _weight: NDArray[np.float64] = field(init=False, repr=False)
     _sum: NDArray[np.float64] = field(init=False, repr=False)
     _square: NDArray[np.float64] = field(init=False, repr=False)
+    _statistics: dict[str, list[tuple[float, float]]] = field(init=False, repr=False, default_factory=dict)
+    """(samples, value) of each chunk, by name: few numbers beside its image."""
 
     def __post_init__(self) -> None:
         """Start from an empty image."""
@@ -86,6 +105,9 @@ class Accumulation:
         self.chunks.add(chunk.index)
         self.spp += chunk.spp
         self.seconds += chunk.seconds
+        for name, value in chunk.statistics.items():
+            if math.isfinite(value):  # a share of nothing says nothing
+                self._statistics.setdefault(name, []).append((float(chunk.spp), value))
 
     def add_all(self, chunks: Iterable[Chunk]) -> None:
         """Add several chunks."""
@@ -106,6 +128,8 @@ class Accumulation:
         self.chunks |= other.chunks
         self.spp += other.spp
         self.seconds += other.seconds
+        for name, values in other._statistics.items():
+            self._statistics.setdefault(name, []).extend(values)
 
     def mean(self) -> Image:
         """The image, linear RGB, float32 [height, width, 3]; zeros where nothing was sampled."""
@@ -128,6 +152,23 @@ class Accumulation:
         """See :func:`elps_core.estimate.stats.relative_error`; None with fewer than two chunks."""
         return relative_error(self.mean(), self.standard_error()) if len(self.chunks) >= 2 else None
 
+    def statistics(self) -> dict[str, Statistic]:
+        """What the algorithm says of its work, by name.
+
+        Var = sum w^2 (x - mean)^2 / ((sum w)^2 - sum w^2), w the samples: right for values whose variance
+        falls with a chunk's samples, and close for those that every chunk measures equally well.
+        """
+        result = {}
+        for name, values in sorted(self._statistics.items()):
+            weight, value = np.array(values, np.float64).T
+            mean = float((weight * value).sum() / weight.sum())
+            error = None
+            if len(values) >= 2:
+                spread = (weight**2 * (value - mean) ** 2).sum() / (weight.sum() ** 2 - (weight**2).sum())
+                error = float(np.sqrt(spread))
+            result[name] = Statistic(mean, error)
+        return result
+
     def _mean(self) -> NDArray[np.float64]:
         return _divide(self._sum, self._weight)
 
@@ -139,6 +180,7 @@ class Accumulation:
             "weight": self._weight,
             "sum": self._sum,
             "square": self._square,
+            **{_STATISTIC + name: np.array(values, np.float64) for name, values in self._statistics.items()},
         }
         return save_tensors(record)
 
@@ -149,7 +191,15 @@ class Accumulation:
         width, height, spp, seconds = record["facts"]
         result = cls(int(width), int(height), {int(i) for i in record["chunks"]}, int(spp), float(seconds))
         result._weight, result._sum, result._square = record["weight"], record["sum"], record["square"]
+        result._statistics = {
+            name: [(float(weight), float(value)) for weight, value in values]
+            for name, values in _statistics_in(record).items()
+        }
         return result
+
+
+def _statistics_in(record: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {key.removeprefix(_STATISTIC): values for key, values in record.items() if key.startswith(_STATISTIC)}
 
 
 def _divide(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from elps_core.settings import RenderSettings
 
-FULL_SAMPLES = 1 << 20
-"""Samples of a full bidirectional chunk, about two seconds on two cores."""
-BASELINE_FACTOR = 4
-"""Mitsuba's own integrators make about this many times the samples a second."""
+FULL_SAMPLES = {"path": 1 << 22, "light": 1 << 22, "bdpt": 1 << 21, "pssmlt": 1 << 21}
+"""Samples (of pssmlt: mutations) of a full chunk: on two cores one to three seconds in a Cornell box, and
+three to eight in rooms with more to compute, or at greater depth."""
+BASELINE_SAMPLES = 1 << 22
+"""Of Mitsuba's own integrators."""
+BOOTSTRAP_RATIO = 4
+"""Mutations for each path that a Metropolis chunk spends on finding where its chains start, at least."""
+CHAIN_LENGTH = 16
+"""Mutations of each chain, at least: fewer are little more than the start."""
 
 
 def chunk_spp(index: int, settings: RenderSettings, size: tuple[int, int]) -> int:
-    """Samples per pixel of chunk ``index``: 1, 1, 2, 4, 8 ... up to a full chunk, a power of two.
+    """Samples per pixel of chunk ``index``: n, n, 2n, 4n, 8n ... up to a full chunk, powers of two.
 
-    The first picture comes at once, and the sums of the first chunks are powers of two, so that a
-    render of 64 samples ends at 64. ``size`` is (width, height) in pixels. The same on every
-    machine, because chunks of one render digest are interchangeable.
+    n is 1, so that the first picture comes at once, except where each chunk has a start of its own
+    to pay for. The sums of the first chunks are powers of two as well, so that a render of 64 samples
+    ends at 64. ``size`` is (width, height) in pixels. The same on every machine, because chunks of
+    one render digest are interchangeable.
     """
-    factor = BASELINE_FACTOR if settings.integrator.startswith("mi_") else 1
-    full = max(1, FULL_SAMPLES * factor // (size[0] * size[1]))
-    return 1 << min(max(0, index - 1), full.bit_length() - 1)
+    pixels = size[0] * size[1]
+    full = max(1, FULL_SAMPLES.get(settings.integrator, BASELINE_SAMPLES) // pixels).bit_length() - 1
+    first = 0
+    if settings.integrator == "pssmlt":
+        worth = max(BOOTSTRAP_RATIO * settings.pssmlt.bootstrap, CHAIN_LENGTH * settings.pssmlt.chains)
+        first = (-(-worth // pixels) - 1).bit_length()
+    return 1 << max(first, min(first + max(0, index - 1), full))

@@ -1,9 +1,9 @@
-"""Bidirectional path tracing with all strategies (s, t), t >= 1 [thesis 4.7.3].
+"""Path, light and bidirectional path tracing: selections of strategies over the same two walks [thesis 4.7].
 
 A pass traces one eye and one light path per lane, in two kernels: the light kernel walks from the
 emitters, joins each vertex to the sensor (t = 1) and stores it; the eye kernel walks from the
 sensor, collects emission (s = 0), estimates direct light (s = 1) and joins each vertex to all that
-the light path of its lane has stored (s >= 2).
+the light path of its lane has stored (s >= 2). What the selection leaves out is not traced.
 """
 
 from __future__ import annotations
@@ -15,15 +15,17 @@ from typing import TypeAlias
 import drjit as dr
 import mitsuba as mi
 
-from elps_core.paths import connect
-from elps_core.paths.mis import Partial, power
+from elps_core.paths.connect import Connector
+from elps_core.paths.mis import Heuristic, Partial
 from elps_core.paths.roulette import RouletteRule
+from elps_core.paths.strategies import Strategies
+from elps_core.paths.strategies import bdpt as all_strategies
 from elps_core.paths.stream import Stream
-from elps_core.paths.surfaces import Surfaces
 from elps_core.paths.vertex import Vertex, VertexStore
 from elps_core.paths.walk import Walk, random_walk
-from elps_core.sampling.start import StartDensity
-from elps_core.scene.sensors import Camera
+from elps_core.sampling.start import Start, StartDensity
+from elps_core.scene.sensors import Camera, PrimaryRay, SensorSample
+from elps_core.settings import HeuristicKind
 
 Splat: TypeAlias = "Callable[[mi.Point2f, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
 """Adds a light path's contribution at a film position, pixels relative to the crop window."""
@@ -46,7 +48,7 @@ class _Light:
 
 
 class Bdpt:
-    """Bidirectional path tracing of one scene, sensor and start density.
+    """The paths of one scene, sensor, start density and selection of strategies.
 
     ``max_depth`` counts segments as Mitsuba does; ``deposit``, where given to :meth:`trace`,
     receives every contribution with the cell of its light vertex, so that the same code that
@@ -54,15 +56,25 @@ class Bdpt:
     """
 
     def __init__(
-        self, scene: mi.Scene, camera: Camera, lights: StartDensity, *, max_depth: int, roulette: RouletteRule
+        self,
+        scene: mi.Scene,
+        camera: Camera,
+        lights: StartDensity,
+        *,
+        max_depth: int,
+        roulette: RouletteRule,
+        strategies: Strategies | None = None,
+        heuristic: HeuristicKind = "power",
     ) -> None:
         self.scene = scene
-        self.surfaces = Surfaces(scene)
         self.camera = camera
         self.lights = lights
         self.max_depth = max_depth
         self.roulette = roulette
-        self.slots = max(0, max_depth - 2)
+        self.strategies = strategies or all_strategies(aperture=camera.has_aperture)
+        self.heuristic = Heuristic(heuristic, max_depth + 1)
+        self.connector = Connector(scene, camera, lights, self.strategies, self.heuristic)
+        self.slots = max(0, max_depth - 2) if self.strategies.joins else 0
         """Light vertices stored per lane: deeper ones can only be joined to the sensor."""
 
     def trace(
@@ -82,51 +94,41 @@ class Bdpt:
         """
         eye_stream, light_stream = streams
         lanes = dr.width(position)
-        u_wavelength = eye_stream.next_1d() if mi.is_spectral else mi.Float(0.5)
-        aperture = eye_stream.next_2d() if self.camera.has_aperture else mi.Point2f(0.5)
-        ray, ray_weight, offset = self.camera.sample_ray(position, u_wavelength, aperture)
-
-        store = VertexStore(lanes, self.slots, tangents=self.surfaces.bends_frames)
+        connector, stored_depth = self.connector, self.slots
+        primary = self.primary(position, eye_stream)
+        wavelengths = primary.ray.wavelengths
+        store = VertexStore(lanes, self.slots, tangents=connector.surfaces.bends_frames, ratios=self.heuristic.width)
         cell = mi.UInt32(0)
-        if self.max_depth >= 2:
-            cell = self._light_walk(light_stream, ray.wavelengths, ray_weight, lanes, store, splat, deposit)
+        if self.strategies.light_paths and self.max_depth >= 2:
+            cell = self._light_walk(light_stream, wavelengths, primary.weight, lanes, store, splat, deposit)
         between()
-        pdf = self.camera.pdf_direction(ray.d)
-        walk = Walk(
-            ray=ray,
-            beta=mi.Spectrum(ray_weight),
-            partial=Partial(power(dr.rcp(pdf)), dr.zeros(mi.Float, lanes)),
-            eta=dr.ones(mi.Float, lanes),
-            depth=dr.zeros(mi.UInt32, lanes),
-            offset=offset,
-            stream=eye_stream,
-            active=dr.full(mi.Bool, True, lanes),
-        )
         lane = dr.arange(mi.UInt32, lanes)
 
-        def visit(vertex: Vertex, stream: Stream, eye: _Eye, active: mi.Bool) -> _Eye:
-            emitted, hit_cell = connect.hit_emitter(self.scene, vertex, self.lights, active)
+        def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
+            emitted, hit_cell = connector.hit_emitter(walk, vertex, active)
             if deposit:
-                deposit(hit_cell, emitted, ray.wavelengths, active)
+                deposit(hit_cell, emitted, wavelengths, walk.active)
             radiance = eye.radiance + emitted
+            if not self.strategies.next_event:
+                return _Eye(radiance)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             direct = smooth & (vertex.depth < self.max_depth)
-            lit, start = connect.connect_light(self.surfaces, vertex, self.lights, stream, direct)
+            lit, start = connector.connect_light(vertex, walk.stream, direct)
             if deposit:
-                deposit(start.cell, lit, ray.wavelengths, direct)
+                deposit(start.cell, lit, wavelengths, direct)
             radiance = radiance + lit
-            if self.slots == 0:
+            if stored_depth == 0:
                 return _Eye(radiance)
 
             count = dr.gather(mi.UInt32, store.count, lane, smooth)
 
             def join(slot: mi.UInt32, total: mi.Spectrum, more: mi.Bool) -> tuple[mi.UInt32, mi.Spectrum, mi.Bool]:
-                light = store.read(slot, lane, ray.wavelengths, more)
+                light = store.read(slot, lane, wavelengths, more)
                 # Depths grow with the slot: what follows a vertex that is too deep is too deep.
                 more = more & (vertex.depth + light.depth + 1 <= self.max_depth)
-                joined = connect.connect_vertices(self.surfaces, vertex, light, more)
+                joined = connector.connect_vertices(vertex, light, more)
                 if deposit:
-                    deposit(cell, joined, ray.wavelengths, more)
+                    deposit(cell, joined, wavelengths, more)
                 return slot + 1, total + joined, more & (slot + 1 < count)
 
             start_state = (dr.zeros(mi.UInt32, lanes), radiance, smooth & (count > 0))
@@ -135,15 +137,58 @@ class Bdpt:
 
         eye = random_walk(
             self.scene,
-            walk,
+            self.eye_start(primary, eye_stream),
             visit,
             _Eye(dr.zeros(mi.Spectrum, lanes)),
-            mode=mi.TransportMode.Radiance,
-            max_depth=self.max_depth,
+            side="eye",
+            max_depth=self.max_depth if self.strategies.eye_paths else 1,
             roulette=self.roulette,
+            heuristic=self.heuristic,
             label="elps eye walk",
         )
-        return eye.radiance, ray.wavelengths
+        return eye.radiance, wavelengths
+
+    def primary(self, position: mi.Point2f, stream: Stream) -> PrimaryRay:
+        """The ray through a film position; takes the numbers for its wavelengths and its aperture point."""
+        u_wavelength = stream.next_1d() if mi.is_spectral else mi.Float(0.5)
+        aperture = stream.next_2d() if self.camera.has_aperture else mi.Point2f(0.5)
+        return self.camera.sample_ray(position, u_wavelength, aperture)
+
+    def eye_start(self, primary: PrimaryRay, stream: Stream) -> Walk:
+        """A walk at the sensor, its first ray chosen."""
+        lanes = dr.width(primary.ray)
+        pdf_aperture = self.camera.pdf_aperture if self.strategies.aperture else mi.Float(dr.inf)
+        return Walk(
+            ray=primary.ray,
+            beta=mi.Spectrum(primary.weight),
+            partial=self._full(self.heuristic.start(pdf_aperture, primary.cosine, primary.pdf, "eye"), lanes),
+            eta=dr.ones(mi.Float, lanes),
+            depth=dr.zeros(mi.UInt32, lanes),
+            offset=primary.offset,
+            parallel=dr.full(mi.Bool, self.camera.parallel, lanes),
+            stream=stream,
+            active=dr.full(mi.Bool, True, lanes),
+        )
+
+    def light_start(self, start: Start, stream: Stream) -> Walk:
+        """A walk at an emitter, its first ray chosen."""
+        emission, point = self.lights.emission, start.point
+        lanes = dr.width(start.pdf)
+        ray = emission.first_ray(point, stream.next_2d(), mi.Bool(True))
+        radiance, cosine = emission.radiance(point, ray.d, mi.Bool(True))
+        pdf = emission.pdf_direction(point.index, point.delta, cosine, mi.Bool(True), infinite=point.infinite)
+        pdf_point = dr.select(point.delta, dr.inf, start.pdf)
+        return Walk(
+            ray=ray,
+            beta=radiance * (cosine / (start.pdf * pdf)),
+            partial=self._full(self.heuristic.start(pdf_point, cosine, pdf, "light"), lanes),
+            eta=dr.ones(mi.Float, lanes),
+            depth=dr.zeros(mi.UInt32, lanes),
+            offset=dr.zeros(mi.Float, lanes),
+            parallel=point.infinite & dr.full(mi.Bool, True, lanes),
+            stream=stream,
+            active=(pdf > 0.0) & (dr.max(radiance) > 0.0),
+        )
 
     def _light_walk(
         self,
@@ -156,34 +201,22 @@ class Bdpt:
         deposit: Deposit | None,
     ) -> mi.UInt32:
         """Walk from the lights; fills ``store`` and evaluates it. Returns each lane's start cell."""
-        emission = self.lights.emission
-        active = dr.full(mi.Bool, True, lanes)
-        start = self.lights.sample(stream.next_2d(), stream.next_2d(), wavelengths, active)
-        direction = emission.sample_direction(start.point, stream.next_2d(), active)
-        radiance, cosine = emission.radiance(start.point, direction, active)
-        pdf = emission.pdf_direction(start.point.index, start.point.delta, cosine, active)
-        active = active & ((pdf > 0.0) & (dr.max(radiance) > 0.0))
-        dvc = dr.select(start.point.delta, 0.0, power(cosine / (start.pdf * pdf)))
-        ray = start.point.si.spawn_ray(direction)
-        ray.wavelengths = wavelengths
-        walk = Walk(
-            ray=ray,
-            beta=radiance * (cosine / (start.pdf * pdf)),
-            partial=Partial(power(dr.rcp(pdf)), dvc),
-            eta=dr.ones(mi.Float, lanes),
-            depth=dr.zeros(mi.UInt32, lanes),
-            offset=dr.zeros(mi.Float, lanes),
-            stream=stream,
-            active=active,
-        )
+        connector = self.connector
+        start = self.lights.sample(stream.next_2d(), stream.next_2d(), wavelengths, dr.full(mi.Bool, True, lanes))
 
-        def visit(vertex: Vertex, stream: Stream, light: _Light, active: mi.Bool) -> _Light:
-            smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
-            seen, sample = connect.connect_sensor(self.surfaces, vertex, self.camera, stream, smooth)
+        def arrive(seen: mi.Spectrum, sample: SensorSample, active: mi.Bool) -> None:
             seen = seen * wavelength_weight
-            splat(sample.position, seen, wavelengths, smooth & sample.valid)
+            splat(sample.position, seen, wavelengths, active & sample.valid)
             if deposit:
-                deposit(start.cell, seen, wavelengths, smooth & sample.valid)
+                deposit(start.cell, seen, wavelengths, active & sample.valid)
+
+        def visit(walk: Walk, vertex: Vertex, light: _Light, active: mi.Bool) -> _Light:
+            if self.strategies.aperture:
+                arrive(*connector.hit_aperture(walk, walk.active), walk.active)
+            smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            smooth = smooth & (vertex.depth < self.max_depth)
+            if self.strategies.sensor:
+                arrive(*connector.connect_sensor(vertex, walk.stream, smooth), smooth)
             if self.slots == 0:
                 return light
             keep = smooth & (vertex.depth <= self.slots)
@@ -192,12 +225,14 @@ class Bdpt:
 
         light = random_walk(
             self.scene,
-            walk,
+            self.light_start(start, stream),
             visit,
             _Light(dr.zeros(mi.UInt32, lanes)),
-            mode=mi.TransportMode.Importance,
-            max_depth=self.max_depth - 1,
+            side="light",
+            # One segment more may end at the aperture.
+            max_depth=self.max_depth if self.strategies.aperture else self.max_depth - 1,
             roulette=self.roulette,
+            heuristic=self.heuristic,
             label="elps light walk",
         )
         store.count = light.stored
@@ -207,3 +242,8 @@ class Bdpt:
         else:
             dr.eval(store.data, store.count)
         return cell
+
+    @staticmethod
+    def _full(partial: Partial, lanes: int) -> Partial:
+        """As wide as the walk: loop state keeps its size."""
+        return Partial(partial.dvcm + dr.zeros(mi.Float, lanes), [r + dr.zeros(mi.Float, lanes) for r in partial.dvc])

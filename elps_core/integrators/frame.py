@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import drjit as dr
 import mitsuba as mi
@@ -26,6 +26,7 @@ class Frame:
 
     image: mi.TensorXf  # Mean radiance, linear RGB, [height, width, 3]
     weight: mi.TensorXf  # Sum of filter weights of the eye paths, [height, width]
+    statistics: dict[str, float] = field(default_factory=dict)  # What the algorithm says of its work
 
 
 def to_rgb(value: mi.Spectrum, wavelengths: mi.Spectrum) -> mi.Color3f:
@@ -36,7 +37,7 @@ def to_rgb(value: mi.Spectrum, wavelengths: mi.Spectrum) -> mi.Color3f:
 
 
 class FrameRenderer:
-    """Renders frames of one film by bidirectional path tracing.
+    """Renders frames of one film by path, light or bidirectional path tracing.
 
     Eye paths are filtered and normalised as Mitsuba does (sum of weighted samples over the sum of
     weights). Light paths land anywhere on the film and are normalised by the *expected* weight of

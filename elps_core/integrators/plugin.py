@@ -1,4 +1,6 @@
-"""Our integrators as Mitsuba plugins, so that ``mi.render`` and scene files can name them.
+"""Our integrators as Mitsuba plugins: ``elps_path``, ``elps_light``, ``elps_bdpt``, ``elps_pssmlt``.
+
+``mi.render`` and scene files can name them.
 
 ====================  =========  =====================================================================
 property              default    meaning
@@ -7,6 +9,7 @@ property              default    meaning
 ``rr_depth``          5          depth from which on Russian roulette may end a walk
 ``roulette``          albedo     ``albedo``, ``throughput`` or ``none``
 ``light_sampling``    power      ``uniform``, ``power`` or ``adjoint`` (measures the scene when first used)
+``heuristic``         power      ``balance``, ``power``, ``maximum`` or ``cutoff``
 ====================  =========  =====================================================================
 """
 
@@ -20,46 +23,46 @@ from pydantic import ValidationError
 
 from elps_core.context import adjoint
 from elps_core.errors import SettingsRejected
-from elps_core.integrators.bdpt import Bdpt
-from elps_core.integrators.frame import FrameRenderer
-from elps_core.paths.roulette import RouletteRule
+from elps_core.integrators import make
 from elps_core.sampling.start import StartDensity, power_table, uniform_table
 from elps_core.scene.emission import Emission
 from elps_core.scene.sensors import Camera
-from elps_core.settings import ContextSettings, RenderSettings, first_problem
+from elps_core.settings import BUILT_INTEGRATORS, ContextSettings, RenderSettings, first_problem
 
 _registered: set[str] = set()
 
 
 def register() -> None:
-    """Register ``elps_bdpt`` with the current variant; again for each variant, harmless twice."""
+    """Register our integrators with the current variant; again for each variant, harmless twice."""
     variant = mi.variant()
     if variant not in _registered:
         _registered.add(variant)
-        mi.register_integrator("elps_bdpt", _integrator_class())
+        for name in BUILT_INTEGRATORS:
+            mi.register_integrator(f"elps_{name}", _integrator_class(name))
 
 
-def _integrator_class() -> Any:
+def _integrator_class(name: str) -> Any:
     """The plugin's class: made here because its base exists once a variant is set."""
 
-    class BdptIntegrator(mi.CppADIntegrator):
-        """Bidirectional path tracing; see the module's text for its properties."""
+    class Integrator(mi.CppADIntegrator):
+        """One of our integrators; see the module's text for its properties."""
 
         def __init__(self, properties: mi.Properties) -> None:
             super().__init__(properties)
             try:
                 self.settings = RenderSettings(
-                    integrator="bdpt",
+                    integrator=name,
                     light_sampling=properties.get("light_sampling", "power"),
                     roulette=properties.get("roulette", "albedo"),
                     max_depth=properties.get("max_depth", 16),
                     rr_depth=properties.get("rr_depth", 5),
+                    heuristic=properties.get("heuristic", "power"),
                 )
             except ValidationError as error:
                 raise SettingsRejected(first_problem(error)) from None
             self._scene: mi.Scene | None = None
             self._sensor: mi.Sensor | None = None
-            self._frames: FrameRenderer | None = None
+            self._frames: make.Frames | None = None
 
         def render(
             self,
@@ -76,26 +79,25 @@ def _integrator_class() -> Any:
             frame = self._renderer(scene, chosen).render(count, (int(np.array(mi.UInt32(seed))[0]),))
             return frame.image
 
-        def _renderer(self, scene: mi.Scene, sensor: mi.Sensor) -> FrameRenderer:
+        def _renderer(self, scene: mi.Scene, sensor: mi.Sensor) -> make.Frames:
             if self._frames is None or self._scene is not scene or self._sensor is not sensor:
                 self._scene, self._sensor = scene, sensor
-                self._frames = FrameRenderer(_bdpt(scene, sensor, self.settings), sensor.film())
+                self._frames = make.frames(scene, sensor, _lights(scene, sensor, self.settings), self.settings)
             return self._frames
 
         def to_string(self) -> str:
-            return f"elps_bdpt[light_sampling={self.settings.light_sampling}, max_depth={self.settings.max_depth}]"
+            return f"elps_{name}[light_sampling={self.settings.light_sampling}, max_depth={self.settings.max_depth}]"
 
-    return BdptIntegrator
+    return Integrator
 
 
-def _bdpt(scene: mi.Scene, sensor: mi.Sensor, settings: RenderSettings) -> Bdpt:
-    camera, emission = Camera(sensor), Emission(scene)
-    rule = RouletteRule(settings.roulette, settings.rr_depth)
+def _lights(scene: mi.Scene, sensor: mi.Sensor, settings: RenderSettings) -> StartDensity:
+    emission = Emission(scene)
     table = uniform_table(emission) if settings.light_sampling == "uniform" else power_table(emission)
     if settings.light_sampling == "adjoint":
         options = ContextSettings(max_depth=max(2, settings.max_depth))
-        measurement = adjoint.AdjointMeasurement(scene, camera, emission, options)
+        measurement = adjoint.AdjointMeasurement(scene, Camera(sensor), emission, options)
         for _ in range(adjoint.STEPS):
             measurement.step()
         table = adjoint.start_table(measurement.image(), emission, options.epsilon, options.exponent)
-    return Bdpt(scene, camera, StartDensity(emission, table), max_depth=settings.max_depth, roulette=rule)
+    return StartDensity(emission, table)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -22,11 +23,14 @@ def write_result(
     scene: str,
     render: str,
     context: str | None,
+    unreachable: Sequence[str] = (),
 ) -> None:
     """Write a multi-part EXR: ``image``, the mean in linear RGB, and its ``standard error`` per pixel.
 
     ``scene``, ``render`` and ``context`` are digests. The attributes are enough to make the image
-    again: settings, seed, digests, chunks, samples, versions.
+    again: settings, seed, digests, chunks, samples, versions. They also say what the algorithm told of
+    its work (``statistic:NAME`` and its ``statistic:NAME:standardError``), and what the image lacks
+    (``unreachable``, see :mod:`elps_core.scene.reach`).
 
     Raises:
         ImageUnwritable: nothing was written.
@@ -45,10 +49,17 @@ def write_result(
         "sceneDigest": scene,
         "renderDigest": render,
         "secondsRendering": merged.seconds,
+        "settings": settings.model_dump_json(),
         **_versions(),
     }
     if context is not None:
         attributes["contextDigest"] = context
+    if unreachable:
+        attributes["unreachable"] = "; ".join(unreachable)
+    for name, statistic in merged.statistics().items():
+        attributes[f"statistic:{name}"] = statistic.mean
+        if statistic.standard_error is not None:
+            attributes[f"statistic:{name}:standardError"] = statistic.standard_error
     write_exr(path, {IMAGE_PART: merged.mean(), ERROR_PART: merged.standard_error()}, attributes)
 
 

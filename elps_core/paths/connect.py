@@ -1,6 +1,6 @@
-"""Joining subpaths: the four kinds of strategy (s, t), s light and t eye vertices.
+"""Joining subpaths: the five kinds of strategy (s, t), s light and t eye vertices.
 
-Each function returns the weighted contribution of one strategy for the lanes that are active and
+Each method returns the weighted contribution of one strategy for the lanes that are active and
 visible, zero elsewhere. Every contribution is that of the same integrand, seen from the sensor:
 scattering uses cosines with shading normals as Mitsuba's ``path`` does, conversions between solid
 angle and area use geometric normals.
@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from elps_core.paths.mis import power, weight
+from elps_core.paths.mis import Heuristic, Partial, Ratios, Side
 from elps_core.paths.scattering import seen_by_eye, seen_by_light
+from elps_core.paths.strategies import Strategies
 from elps_core.paths.stream import Stream
 from elps_core.paths.surfaces import Surfaces
 from elps_core.paths.vertex import Vertex
+from elps_core.paths.walk import Walk
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, SensorSample
 
@@ -23,88 +26,148 @@ SHADOW = 1.0 - 1e-4
 """Share of the segment from the sensor that is tested for shadows: ends short of the surface itself."""
 
 
-def hit_emitter(
-    scene: mi.Scene, vertex: Vertex, lights: StartDensity, active: mi.Bool
-) -> tuple[mi.Spectrum, mi.UInt32]:
-    """s = 0: an eye path meets an emitter. Returns the contribution and the emitter's cell."""
-    emitter = vertex.si.emitter(scene, active)
-    active = active & (emitter != None)  # noqa: E711 (a comparison of arrays of pointers)
-    value = emitter.eval(vertex.si, active)
-    active = active & (dr.max(value) > 0.0)
-    pdf_start, index, cell = lights.pdf(emitter, vertex.si, active)
-    cosine = dr.abs(dr.dot(vertex.si.to_world(vertex.si.wi), vertex.si.n))
-    pdf_omega = lights.emission.pdf_direction(index, mi.Bool(False), cosine, active)
-    others = power(pdf_start) * dr.fma(power(pdf_omega), vertex.partial.dvc, vertex.partial.dvcm)
-    # Directly seen light has no other strategy: connecting a light vertex to the sensor is not one.
-    mis = dr.select(vertex.depth == 1, 1.0, weight(mi.Float(0.0), others))
-    return dr.select(active, vertex.beta * value * mis, 0.0), cell
+class Connector:
+    """The ways in which one selection of strategies joins subpaths."""
 
+    def __init__(
+        self, scene: mi.Scene, camera: Camera, lights: StartDensity, strategies: Strategies, heuristic: Heuristic
+    ) -> None:
+        self.scene = scene
+        self.surfaces = Surfaces(scene)
+        self.camera = camera
+        self.lights = lights
+        self.strategies = strategies
+        self.heuristic = heuristic
+        self._side = heuristic.length + 1
+        if strategies.shown is not None:
+            table = np.zeros((self._side, self._side), bool)
+            for s, t in strategies.shown:
+                if max(s, t) < self._side:
+                    table[s, t] = True
+            # Data, not code: one kernel renders every strategy alone.
+            self._shown = mi.Bool(table.ravel())
+            dr.eval(self._shown)
 
-def connect_light(
-    surfaces: Surfaces, vertex: Vertex, lights: StartDensity, stream: Stream, active: mi.Bool
-) -> tuple[mi.Spectrum, Start]:
-    """s = 1: next event estimation, a fresh light vertex for an eye vertex."""
-    start = lights.sample(stream.next_2d(), stream.next_2d(), vertex.si.wavelengths, active)
-    point = start.point
-    delta = point.si.p - vertex.si.p
-    distance2 = dr.squared_norm(delta)
-    direction = delta * dr.rsqrt(distance2)
-    radiance, cos_light = lights.emission.radiance(point, -direction, active)
-    active = active & ((dr.max(radiance) > 0.0) & (cos_light > 0.0) & (distance2 > 0.0))
-    wo = vertex.si.to_local(direction)
-    active = active & surfaces.may_scatter(vertex.si, wo)
-    active = active & ~surfaces.shadowed(vertex.si, point.si.p, active)
-    seen = seen_by_eye(vertex.si, wo, active)
+    def hit_emitter(self, walk: Walk, vertex: Vertex, active: mi.Bool) -> tuple[mi.Spectrum, mi.UInt32]:
+        """s = 0: an eye path meets an emitter, or leaves the scene for its environment.
 
-    cos_eye = dr.abs(dr.dot(vertex.si.n, direction))
-    pdf_omega = start.pdf * distance2 / cos_light
-    sum_light = dr.select(point.delta, 0.0, power(seen.pdf / pdf_omega))
-    pdf_direction = lights.emission.pdf_direction(point.index, point.delta, cos_light, active)
-    # Light paths start with the density of this very sample, so that it cancels in the ratio.
-    sum_eye = vertex.partial.other_strategies(pdf_direction * cos_eye / distance2, seen.pdf_rev)
-    value = vertex.beta * seen.value * radiance * (weight(sum_light, sum_eye) / pdf_omega)
-    return dr.select(active, value, 0.0), start
+        Returns the contribution and the emitter's cell.
+        """
+        active = walk.active if self.lights.emission.has_environment else active
+        if not self.strategies.emission:
+            active = active & (vertex.depth == 1)
+        if not self.strategies.direct:
+            active = active & (vertex.depth > 1)
+        emission = self.lights.emission
+        emitter = vertex.si.emitter(self.scene, active)
+        active = active & (emitter != None)  # noqa: E711 (a comparison of arrays of pointers)
+        value, cosine = emission.met(emitter, vertex.si, active)
+        active = active & (dr.max(value) > 0.0) & self._is_shown(0, vertex.depth + 1)
+        pdf_start, index, cell = self.lights.pdf(emitter, vertex.si, active)
+        infinite = ~vertex.si.is_valid() if emission.has_environment else mi.Bool(False)
+        pdf_omega = emission.pdf_direction(index, mi.Bool(False), cosine, active, infinite=infinite)
+        eye = self._others(vertex.partial, pdf_start, pdf_omega, "eye", self.strategies.next_event)
+        # Directly seen light has no other strategy.
+        scale = dr.select(vertex.depth == 1, 1.0, self._weight([], eye))
+        return dr.select(active, vertex.beta * value * scale, 0.0), cell
 
+    def connect_light(self, vertex: Vertex, stream: Stream, active: mi.Bool) -> tuple[mi.Spectrum, Start]:
+        """s = 1: next event estimation, a fresh light vertex for an eye vertex."""
+        emission = self.lights.emission
+        start = self.lights.sample(stream.next_2d(), stream.next_2d(), vertex.si.wavelengths, active)
+        point = start.point
+        direction, distance2, target = emission.towards(point, vertex.si.p)
+        radiance, cos_light = emission.radiance(point, -direction, active)
+        active = active & ((dr.max(radiance) > 0.0) & (cos_light > 0.0) & (distance2 > 0.0))
+        active = active & self._is_shown(1, vertex.depth + 1)
+        wo = vertex.si.to_local(direction)
+        active = active & self.surfaces.may_scatter(vertex.si, wo)
+        active = active & ~self.surfaces.shadowed(vertex.si, target, active)
+        seen = seen_by_eye(vertex.si, wo, active)
 
-def connect_vertices(surfaces: Surfaces, eye: Vertex, light: Vertex, active: mi.Bool) -> mi.Spectrum:
-    """s >= 2, t >= 2: join an eye vertex and a light vertex."""
-    delta = light.si.p - eye.si.p
-    distance2 = dr.squared_norm(delta)
-    direction = delta * dr.rsqrt(distance2)
-    active = active & (distance2 > 0.0)
-    wo_eye, wo_light = eye.si.to_local(direction), light.si.to_local(-direction)
-    active = active & surfaces.may_scatter(eye.si, wo_eye) & surfaces.may_scatter(light.si, wo_light)
-    active = active & ~surfaces.shadowed(eye.si, light.si.p, active)
-    cos_eye, cos_light = dr.abs(dr.dot(eye.si.n, direction)), dr.abs(dr.dot(light.si.n, direction))
-    at_eye = seen_by_eye(eye.si, wo_eye, active)
-    at_light = seen_by_light(light.si, wo_light, cos_light, active)
-    inv = dr.rcp(distance2)
-    sum_light = light.partial.other_strategies(at_eye.pdf * cos_light * inv, at_light.pdf_rev)
-    sum_eye = eye.partial.other_strategies(at_light.pdf * cos_eye * inv, at_eye.pdf_rev)
-    scale = inv * weight(sum_light, sum_eye)
-    return dr.select(active, eye.beta * at_eye.value * at_light.value * light.beta * scale, 0.0)
+        cos_eye = dr.abs(dr.dot(vertex.si.n, direction))
+        pdf_omega = start.pdf * distance2 / cos_light
+        light: Ratios = []
+        if self.strategies.emission:
+            light = self.heuristic.single(dr.select(point.delta, 0.0, seen.pdf), pdf_omega, "light")
+        pdf_direction = emission.pdf_direction(point.index, point.delta, cos_light, active, infinite=point.infinite)
+        # Light paths start with the density of this very sample, so that it cancels in the ratio.
+        eye = self._others(vertex.partial, pdf_direction * cos_eye / distance2, seen.pdf_rev, "eye", False)
+        value = vertex.beta * seen.value * radiance * (self._weight(light, eye) / pdf_omega)
+        return dr.select(active, value, 0.0), start
 
+    def connect_vertices(self, eye: Vertex, light: Vertex, active: mi.Bool) -> mi.Spectrum:
+        """s >= 2, t >= 2: join an eye vertex and a light vertex."""
+        delta = light.si.p - eye.si.p
+        distance2 = dr.squared_norm(delta)
+        direction = delta * dr.rsqrt(distance2)
+        active = active & (distance2 > 0.0) & self._is_shown(light.depth + 1, eye.depth + 1)
+        wo_eye, wo_light = eye.si.to_local(direction), light.si.to_local(-direction)
+        active = active & self.surfaces.may_scatter(eye.si, wo_eye) & self.surfaces.may_scatter(light.si, wo_light)
+        active = active & ~self.surfaces.shadowed(eye.si, light.si.p, active)
+        cos_eye, cos_light = dr.abs(dr.dot(eye.si.n, direction)), dr.abs(dr.dot(light.si.n, direction))
+        at_eye = seen_by_eye(eye.si, wo_eye, active)
+        at_light = seen_by_light(light.si, wo_light, cos_light, active)
+        inv = dr.rcp(distance2)
+        others = self.heuristic.others
+        light_side = others(light.partial, at_eye.pdf * cos_light * inv, at_light.pdf_rev, "light")
+        eye_side = others(eye.partial, at_light.pdf * cos_eye * inv, at_eye.pdf_rev, "eye")
+        scale = inv * self._weight(light_side, eye_side)
+        return dr.select(active, eye.beta * at_eye.value * at_light.value * light.beta * scale, 0.0)
 
-def connect_sensor(
-    surfaces: Surfaces, vertex: Vertex, camera: Camera, stream: Stream, active: mi.Bool
-) -> tuple[mi.Spectrum, SensorSample]:
-    """t = 1: join a light vertex to the aperture; the contribution belongs to the sample's film position.
+    def connect_sensor(self, vertex: Vertex, stream: Stream, active: mi.Bool) -> tuple[mi.Spectrum, SensorSample]:
+        """t = 1: join a light vertex to the aperture; the contribution belongs to the sample's film position.
 
-    It is per light path over the whole film: times the number of pixels, it adds to a pixel's mean.
-    """
-    aperture = stream.next_2d() if camera.has_aperture else mi.Point2f(0.5)
-    sample = camera.connect(vertex.si, aperture, active)
-    wo = vertex.si.to_local(sample.direction)
-    active = active & sample.valid & surfaces.may_scatter(vertex.si, wo)
-    # From the near clip plane, as a primary ray comes: a ray that left the surface would start off it by
-    # Mitsuba's offset, half a millimetre in a room, and meet the edges of cracks that the sensor sees past.
-    length = sample.distance - sample.near
-    ray = mi.Ray3f(vertex.si.p + sample.direction * length, -sample.direction)
-    ray.maxt = length * SHADOW
-    active = active & ~surfaces.scene.ray_test(ray, active)
-    cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
-    seen = seen_by_light(vertex.si, wo, cosine, active)
-    pdf_area = sample.pdf * cosine / dr.square(sample.distance)
-    sum_light = vertex.partial.other_strategies(pdf_area, seen.pdf_rev)
-    scale = sample.weight * weight(sum_light, mi.Float(0.0))
-    return dr.select(active, vertex.beta * seen.value * scale, 0.0), sample
+        It is per light path over the whole film: times the number of pixels, it adds to a pixel's mean.
+        """
+        aperture = stream.next_2d() if self.camera.has_aperture else mi.Point2f(0.5)
+        sample = self.camera.connect(vertex.si, aperture, active)
+        wo = vertex.si.to_local(sample.direction)
+        active = active & sample.valid & self._is_shown(vertex.depth + 1, 1)
+        active = active & self.surfaces.may_scatter(vertex.si, wo)
+        active = active & ~self._hidden(vertex.si.p, sample, active)
+        cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
+        seen = seen_by_light(vertex.si, wo, cosine, active)
+        light = self._others(vertex.partial, sample.pdf * cosine / sample.distance2, seen.pdf_rev, "light", False)
+        eye: Ratios = []
+        if self.strategies.aperture:
+            pdf_area = seen.pdf * sample.cosine / sample.distance2
+            eye = self.heuristic.single(pdf_area, self.camera.pdf_aperture, "eye")
+        scale = sample.pdf / sample.distance2 * self._weight(light, eye)
+        return dr.select(active, vertex.beta * seen.value * scale, 0.0), sample
+
+    def hit_aperture(self, walk: Walk, active: mi.Bool) -> tuple[mi.Spectrum, SensorSample]:
+        """t = 0: the ray of a light path meets the aperture; the contribution as in :meth:`connect_sensor`."""
+        sample = self.camera.meet(walk.ray, active & (walk.depth > 0))
+        active = sample.valid & self._is_shown(walk.depth + 2, 0)
+        active = active & ~self._hidden(walk.ray.o, sample, active)
+        partial = self.heuristic.arrive(walk.partial, sample.distance2, sample.cosine)
+        pdf = self.camera.pdf_aperture
+        light = self._others(partial, pdf, sample.pdf, "light", self.strategies.sensor)
+        scale = pdf * sample.pdf / sample.cosine * self._weight(light, [])
+        return dr.select(active, walk.beta * scale, 0.0), sample
+
+    def _hidden(self, p: mi.Point3f, sample: SensorSample, active: mi.Bool) -> mi.Bool:
+        """Whether something stands between the sensor and a surface point."""
+        # From the near clip plane, as a primary ray comes: a ray that left the surface would start off it by
+        # Mitsuba's offset, half a millimetre in a room, and meet the edges of cracks that the sensor sees past.
+        length = sample.distance - sample.near
+        ray = mi.Ray3f(p + sample.direction * length, -sample.direction)
+        ray.maxt = length * SHADOW
+        return self.surfaces.blocked(ray, active)
+
+    def _others(
+        self, partial: Partial, pdf_from_other: mi.Float, pdf_rev: mi.Float, side: Side, nearest: bool
+    ) -> Ratios:
+        """The ratios of one side: of all strategies there, of the nearest where no other exists, or of none."""
+        if not (self.strategies.joins or nearest):
+            return []
+        return self.heuristic.others(partial, pdf_from_other, pdf_rev, side, nearest=not self.strategies.joins)
+
+    def _weight(self, light: Ratios, eye: Ratios) -> mi.Float:
+        return self.heuristic.weight(light, eye) if self.strategies.weighted else mi.Float(1.0)
+
+    def _is_shown(self, s: mi.UInt32 | int, t: mi.UInt32 | int) -> mi.Bool:
+        if self.strategies.shown is None:
+            return mi.Bool(True)
+        return dr.gather(mi.Bool, self._shown, mi.UInt32(s) * self._side + mi.UInt32(t))

@@ -89,6 +89,8 @@ def sample_from_light(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point
         # A Dirac event's weight is given for wi to wo: its own cosines are exchanged.
         exchange = dr.abs(mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(sample.wo))
         weight = dr.select(delta, specular * exchange, value / sample.pdf)
+        # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
+        weight = dr.select(dr.max(specular) > 0.0, weight, 0.0)
         return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta)
 
     found: Scattered = dr.dispatch(si.bsdf(), ask, si, u_lobe, u, active)

@@ -20,7 +20,11 @@ class Surfaces:
 
     def shadowed(self, si: mi.SurfaceInteraction3f, target: mi.Point3f, active: mi.Bool) -> mi.Bool:
         """Whether something stands between a surface point and a point on another surface."""
-        return self.scene.ray_test(si.spawn_ray_to(target), active)
+        return self.blocked(si.spawn_ray_to(target), active)
+
+    def blocked(self, ray: mi.Ray3f, active: mi.Bool) -> mi.Bool:
+        """Whether a ray meets something before its end. All shadow rays are traced here."""
+        return self.scene.ray_test(ray, active)
 
     def may_scatter(self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.Bool:
         """False where a surface that only reflects would have to transmit: spares a shadow ray.

@@ -32,14 +32,22 @@ class VertexStore:
     reads them: never both in one kernel.
     """
 
-    def __init__(self, lanes: int, slots: int, *, tangents: bool) -> None:
-        """``tangents``: keep the position's derivatives by u and v, which normal and bump maps ask for."""
+    def __init__(self, lanes: int, slots: int, *, tangents: bool, ratios: int = 1) -> None:
+        """An empty store.
+
+        Args:
+            lanes: walks side by side.
+            slots: vertices of each.
+            tangents: keep the position's derivatives by u and v, which normal and bump maps ask for.
+            ratios: numbers in a vertex's :attr:`Partial.dvc`.
+        """
+        self.ratios = ratios
         self.lanes = lanes
         self.tangents = tangents
         self.slots = slots
         self._stride = dr.opaque(mi.UInt32, lanes)  # Data, not code: one kernel for all lane counts
         self.channels = dr.size_v(mi.UnpolarizedSpectrum)
-        self.packets = -(-(20 + self.channels + (6 if tangents else 0)) // PACKET)
+        self.packets = -(-(19 + ratios + self.channels + (6 if tangents else 0)) // PACKET)
         self.data = dr.empty(mi.Float, max(1, lanes * slots) * self.packets * PACKET)
         self.count = dr.zeros(mi.UInt32, lanes)
 
@@ -57,7 +65,7 @@ class VertexStore:
             *si.n, prim,
             *si.sh_frame.n, angle,
             *si.wi, *si.uv,
-            vertex.partial.dvcm, vertex.partial.dvc,
+            vertex.partial.dvcm, *vertex.partial.dvc,
             si.time,
             *(vertex.beta[i] for i in range(self.channels)),
         ]  # fmt: skip
@@ -87,11 +95,12 @@ class VertexStore:
         si.sh_frame = mi.Frame3f(tangent, dr.cross(normal, tangent), normal)
         si.wi = mi.Vector3f(f[12], f[13], f[14])
         si.uv = mi.Point2f(f[15], f[16])
-        si.time = f[19]
+        partial, rest = Partial(f[17], f[18 : 18 + self.ratios]), f[18 + self.ratios :]
+        si.time = rest[0]
         si.t = 0.0
         si.wavelengths = wavelengths
-        beta = mi.UnpolarizedSpectrum([f[20 + i] for i in range(self.channels)])
+        beta = mi.UnpolarizedSpectrum(rest[1 : 1 + self.channels])
         if self.tangents:
-            rest = f[20 + self.channels :]
+            rest = rest[1 + self.channels :]
             si.dp_du, si.dp_dv = mi.Vector3f(rest[:3]), mi.Vector3f(rest[3:6])
-        return Vertex(si, beta, Partial(f[17], f[18]), word & ((1 << DEPTH_BITS) - 1))
+        return Vertex(si, beta, partial, word & ((1 << DEPTH_BITS) - 1))

@@ -9,16 +9,18 @@ from typing import TypeAlias, TypeVar
 import drjit as dr
 import mitsuba as mi
 
-from elps_core.paths.mis import Partial
+from elps_core.paths.mis import Heuristic, Partial, Side
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.scattering import sample_from_eye, sample_from_light
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
 
 State = TypeVar("State")
-Visit: TypeAlias = "Callable[[Vertex, Stream, State, mi.Bool], State]"
-"""Called at every surface vertex with its stream of random numbers, the caller's own state, and
-which lanes stand at a vertex; returns the new state. Runs inside the loop's kernel."""
+Visit: TypeAlias = "Callable[[Walk, Vertex, State, mi.Bool], State]"
+"""Called after every segment with the walk that made it (its ray, its stream of random numbers), the
+vertex at its end, the caller's own state, and which lanes stand at a surface vertex; lanes that are
+active in the walk and not there have left the scene, and the vertex tells in which direction. Returns
+the new state. Runs inside the loop's kernel."""
 
 
 @dataclass
@@ -31,6 +33,7 @@ class Walk:
     eta: mi.Float  # Relative index of refraction along the walk, for roulette by throughput
     depth: mi.UInt32  # Segments traced so far
     offset: mi.Float  # Distance from the subpath's true start to the ray's origin (near clip)
+    parallel: mi.Bool  # Whether the first segment is one of parallel rays, so that its length does not count
     stream: Stream
     active: mi.Bool
 
@@ -41,27 +44,32 @@ def random_walk(
     visit: Visit[State],
     state: State,
     *,
-    mode: mi.TransportMode,
-    max_depth: int,
+    side: Side,
+    max_depth: int | mi.UInt32,
     roulette: RouletteRule,
+    heuristic: Heuristic,
     label: str,
 ) -> State:
-    """Walk from ``start`` over at most ``max_depth`` segments, calling ``visit`` at each vertex.
+    """Walk from ``start`` over at most ``max_depth`` segments, calling ``visit`` after each.
 
-    ``mode`` is Radiance for walks from the sensor, Importance for walks from the lights, where the
-    scattering is adjoint. Returns the caller's state after the last visit. One symbolic loop, hence part of one kernel.
+    ``side`` is where the walk starts: from the lights the scattering is adjoint. Returns the caller's
+    state after the last visit. One symbolic loop, hence part of one kernel.
     """
 
     def body(walk: Walk, state: State) -> tuple[Walk, State]:
         si = scene.ray_intersect(walk.ray, ray_flags=mi.RayFlags.All, coherent=False, active=walk.active)
         active = walk.active & si.is_valid()
-        cos_in = dr.abs(dr.dot(si.n, walk.ray.d))
-        active = active & (cos_in > 0.0)
-        vertex = Vertex(si, walk.beta, walk.partial.arrive(si.t + walk.offset, cos_in), walk.depth + 1)
-        state = visit(vertex, walk.stream, state, active)
+        # Rays that leave the scene arrive nowhere: their densities stay those of directions.
+        cos_in = dr.select(active, dr.abs(dr.dot(si.n, walk.ray.d)), 1.0)
+        distance2 = dr.select(walk.parallel | ~active, 1.0, dr.square(si.t + walk.offset))
+        vertex = Vertex(si, walk.beta, heuristic.arrive(walk.partial, distance2, cos_in), walk.depth + 1)
+        # No density is finite on a surface that is seen along its tangent.
+        walk.active = walk.active & (cos_in > 0.0)
+        active = active & walk.active
+        state = visit(walk, vertex, state, active)
 
         active = active & (vertex.depth < max_depth)
-        draw = sample_from_light if mode == mi.TransportMode.Importance else sample_from_eye
+        draw = sample_from_light if side == "light" else sample_from_eye
         event = draw(si, walk.stream.next_1d(), walk.stream.next_2d(), active)
         direction = si.to_world(event.wo)
         cos_out = dr.abs(dr.dot(si.n, direction))
@@ -76,10 +84,11 @@ def random_walk(
             Walk(
                 ray=si.spawn_ray(direction),
                 beta=beta / survival,
-                partial=vertex.partial.scatter(cos_out, event.pdf, event.pdf_rev, event.delta),
+                partial=heuristic.scatter(vertex.partial, cos_out, event.pdf, event.pdf_rev, event.delta, side),
                 eta=eta,
                 depth=vertex.depth,
                 offset=mi.Float(0.0),
+                parallel=mi.Bool(False),
                 stream=walk.stream,
                 active=active,
             ),

@@ -15,11 +15,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.sampling.inversion import RESOLUTION, cumulative, interval, quantized
 from elps_core.scene.emission import Emission, LightPoint
-
-RESOLUTION = 1 << 23
-"""Steps of a uniform float32 number. Cell probabilities are whole numbers of them, so that the
-probability in the table is exactly the one with which the inversion method draws the cell."""
 
 
 @dataclass
@@ -27,24 +24,8 @@ class Start:
     """A sampled light vertex."""
 
     point: LightPoint
-    pdf: mi.Float  # Density over all emitters, area measure (discrete for a point light)
+    pdf: mi.Float  # Density over all emitters, in the point's own measure: see LightPoint
     cell: mi.UInt32  # Cell of the table it fell into
-
-
-def quantized(weights: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Whole steps of :data:`RESOLUTION`, at least one each, proportional to ``weights`` [n].
-
-    Raises:
-        ValueError: more cells than steps.
-    """
-    n = len(weights)
-    if n > RESOLUTION // 2:
-        raise ValueError("too many cells for the resolution of a uniform number")
-    total = weights.sum()
-    share = weights / total if total > 0 else np.full(n, 1.0 / n)
-    edges = np.round(np.concatenate([[0.0], np.cumsum(share)]) * (RESOLUTION - n)).astype(np.int64)
-    edges[-1] = RESOLUTION - n
-    return np.diff(edges) + 1
 
 
 class StartDensity:
@@ -63,9 +44,9 @@ class StartDensity:
         self.per_emitter = columns // emission.count
         weights = np.maximum(np.nan_to_num(table.astype(np.float64), nan=0.0, posinf=0.0), 0.0)
         column_steps = quantized(weights.sum(axis=0))
-        row_steps = np.stack([quantized(weights[:, c]) for c in range(columns)])  # [columns, rows]
-        self._column_cdf = mi.Float((np.cumsum(column_steps) / RESOLUTION).astype(np.float32))
-        self._row_cdf = mi.Float((np.cumsum(row_steps, axis=1) / RESOLUTION).astype(np.float32).ravel())
+        row_steps = quantized(np.ascontiguousarray(weights.T))  # [columns, rows]
+        self._column_cdf = mi.Float(cumulative(column_steps))
+        self._row_cdf = mi.Float(cumulative(row_steps).ravel())
         self.probability = (column_steps[:, None] * row_steps).astype(np.float64) / RESOLUTION**2
         """Chance of each cell, [columns, rows]; sums to one."""
         # Per emitter's own unit square: chance of the cell over the cell's area in that square.
@@ -78,11 +59,11 @@ class StartDensity:
 
     def sample(self, u_cell: mi.Point2f, u_point: mi.Point2f, wavelengths: mi.Spectrum, active: mi.Bool) -> Start:
         """Draw a light vertex: a cell with ``u_cell``, a point in it with ``u_point``."""
-        column = _invert(self._column_cdf, mi.UInt32(0), self.columns, u_cell.x, active)
+        column = interval(self._column_cdf, mi.UInt32(0), self.columns, u_cell.x, active)
         if self.flat and self.rows == 1:
             row = mi.UInt32(0)
         else:
-            row = _invert(self._row_cdf, column * self.rows, self.rows, u_cell.y, active)
+            row = interval(self._row_cdf, column * (self.rows + 1), self.rows, u_cell.y, active)
         index = column // self.per_emitter
         inside = mi.Float(column - index * self.per_emitter)
         u = mi.Point2f((inside + u_point.x) / self.per_emitter, (mi.Float(row) + u_point.y) / self.rows)
@@ -94,31 +75,28 @@ class StartDensity:
     def pdf(
         self, emitter: mi.EmitterPtr, si: mi.SurfaceInteraction3f, active: mi.Bool
     ) -> tuple[mi.Float, mi.UInt32, mi.UInt32]:
-        """Density (area measure) with which :meth:`sample` would draw the surface point ``si``.
+        """Density with which :meth:`sample` would draw the point of ``emitter`` that a ray met.
 
-        Returns it with the emitter's index and the cell.
+        ``si`` is the surface point, measure area; or, where it is not valid, what a ray has left
+        behind that left the scene: ``si.wi`` is minus its direction in world space, measure solid
+        angle. Returns the density with the emitter's index and the cell.
         """
         index = self.emission.index_of(emitter, active)
-        area = self.emission.area_density(index, active)
+        pdf = self.emission.density(index, si, active)
         if self.flat:
-            return dr.gather(mi.Float, self._mean, index, active) * area, index, index * self.per_emitter * self.rows
+            return dr.gather(mi.Float, self._mean, index, active) * pdf, index, index * self.per_emitter * self.rows
         u = self.emission.inverse(index, si, active)
         column = index * self.per_emitter + dr.minimum(mi.UInt32(u.x * self.per_emitter), self.per_emitter - 1)
         row = dr.minimum(mi.UInt32(u.y * self.rows), self.rows - 1)
         cell = column * self.rows + row
-        return dr.gather(mi.Float, self._density, cell, active) * area, index, cell
-
-
-def _invert(cdf: mi.Float, first: mi.UInt32, size: int, u: mi.Float, active: mi.Bool) -> mi.UInt32:
-    """Index in [0, size) of the first entry of ``cdf[first : first + size]`` that exceeds ``u``."""
-    return dr.binary_search(0, size - 1, lambda i: dr.gather(mi.Float, cdf, first + i, active) <= u)
+        return dr.gather(mi.Float, self._density, cell, active) * pdf, index, cell
 
 
 def uniform_table(emission: Emission) -> NDArray[np.float64]:
-    """Every emitter alike, points uniform by area."""
+    """Every emitter alike, points as F draws them: uniform by area, the sky by its radiance."""
     return np.ones((1, emission.count))
 
 
 def power_table(emission: Emission) -> NDArray[np.float64]:
-    """Emitters by emitted flux, points uniform by area."""
+    """Emitters by emitted flux, points as F draws them: uniform by area, the sky by its radiance."""
     return emission.power[None, :].copy()

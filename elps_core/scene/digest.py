@@ -12,13 +12,13 @@ import math
 from io import BufferedReader
 from typing import Any
 
-from elps_core.settings import ContextSettings, RenderSettings
+from elps_core.settings import DEPTH_BASELINES, ContextSettings, RenderSettings
 
 SCENE_FORMAT = 1
 """Counts changes of the canonical text."""
-CONTEXT_FORMAT = 1
+CONTEXT_FORMAT = 2
 """Counts changes of a global context's content or file format."""
-RENDER_FORMAT = 1
+RENDER_FORMAT = 2
 """Counts changes of the algorithms that change the image of given settings."""
 
 
@@ -58,11 +58,28 @@ def render_digest(scene: str, settings: RenderSettings, size: tuple[int, int]) -
 
     Args:
         scene: the scene's digest.
-        settings: all of them enter; those of the context only where the render uses one.
+        settings: those enter that the chosen integrator reads.
         size: (width, height) of the image in pixels, in place of the optional ones in the settings.
     """
-    left_out = {"width", "height"} | (set() if settings.needs_context else {"context"})
-    return _digest("render", RENDER_FORMAT, [scene, settings.model_dump(mode="json", exclude=left_out), list(size)])
+    return _digest("render", RENDER_FORMAT, [scene, _read_by_integrator(settings), list(size)])
+
+
+def _read_by_integrator(settings: RenderSettings) -> dict[str, Any]:
+    fields = {"integrator", "sensor", "seed", "variant"}
+    if not settings.is_baseline:
+        fields |= {"max_depth", "roulette", "direction_sampling", settings.integrator}
+    elif settings.integrator.removeprefix("mi_") in DEPTH_BASELINES:
+        fields |= {"max_depth", "roulette"}
+    if settings.samples_lights:
+        fields |= {"light_sampling", "heuristic"}
+    if settings.needs_context:
+        fields.add("context")
+    if "roulette" in fields and settings.roulette != "none":
+        fields.add("rr_depth")
+    values = settings.model_dump(mode="json", include=fields)
+    if settings.is_baseline and "rr_depth" in fields:
+        values["roulette"] = "throughput"  # the only kind that Mitsuba has
+    return values
 
 
 def _digest(kind: str, version: int, content: Any) -> str:

@@ -34,7 +34,14 @@ _EXPECTED = {
     "shape": "the scene has no shapes: there is nothing to see",
 }
 """Element -> the warning where a scene has none."""
-_MEDIUM = "the scene has participating media, which bdpt and mi_path leave out: choose mi_volpath to see them"
+_MEDIUM = (
+    "the scene has participating media, which path, light, bdpt, pssmlt and mi_path leave out: "
+    "choose mi_volpath to see them"
+)
+_NO_SURFACE = ("instance", "shapegroup")
+"""Shapes whose surfaces are those of others."""
+DEFAULT_MATERIAL = "diffuse"
+"""Mitsuba's own, where a shape names none."""
 _TOO_LARGE = "the scene needs more memory than there is: make its meshes and images smaller"
 _LOCATION = re.compile(r"\(line (\d{1,9}), col \d+\)")
 
@@ -309,11 +316,32 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene) -> SceneSummary:
     return SceneSummary(
         sensors=tuple(sensors),
         emitters=tuple(EmitterSummary(type=kind, count=count) for kind, count in sorted(counts.items())),
-        bsdfs=tuple(sorted({node.type for node in objects if node.tag == "bsdf"})),
+        bsdfs=tuple(sorted(_materials(objects))),
         shapes=sum(node.tag == "shape" for node in objects),
         triangles=measure.triangles(scene),
         warnings=_warnings({node.tag for node in objects}),
     )
+
+
+def _materials(objects: list[Node]) -> set[str]:
+    """Kinds of the materials on shapes, and of those that they are made of."""
+    by_id = {node.attributes["id"]: node for node in objects if "id" in node.attributes}
+
+    def parts(owner: Node) -> list[Node]:
+        targets = (by_id.get(c.attributes.get("id", "")) if c.tag == "ref" else c for c in owner.children)
+        return [target for target in targets if target is not None and target.tag == "bsdf"]
+
+    shapes = [node for node in objects if node.tag == "shape" and node.type not in _NO_SURFACE]
+    found = {DEFAULT_MATERIAL} if any(not parts(shape) for shape in shapes) else set()
+    rest = [part for shape in shapes for part in parts(shape)]
+    seen: set[int] = set()
+    while rest:
+        node = rest.pop()
+        if id(node) not in seen:
+            seen.add(id(node))
+            found.add(node.type)
+            rest += parts(node)
+    return found
 
 
 def _warnings(tags: set[str]) -> tuple[str, ...]:

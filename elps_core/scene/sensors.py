@@ -9,80 +9,122 @@ import mitsuba as mi
 
 from elps_core.errors import SceneRejected
 
-SUPPORTED = ("PerspectiveCamera", "ThinLensCamera")
+SUPPORTED = {"PerspectiveCamera": "perspective", "ThinLensCamera": "thinlens", "OrthographicCamera": "orthographic"}
+
+
+@dataclass
+class PrimaryRay:
+    """A ray from the film into the scene."""
+
+    ray: mi.Ray3f
+    weight: mi.Spectrum  # Of its wavelengths
+    pdf: mi.Float  # Solid-angle density of the direction given the aperture point; area density of parallel rays
+    cosine: mi.Float  # With the sensor's axis
+    offset: mi.Float  # Distance from the aperture to the ray's origin, which Mitsuba moves to the near clip plane
 
 
 @dataclass
 class SensorSample:
-    """A connection from a surface point to a point on the aperture."""
+    """A segment between a surface point and a point on the aperture."""
 
     direction: mi.Vector3f  # Unit vector from the surface point towards the aperture
     distance: mi.Float  # To the aperture
+    distance2: mi.Float  # Its square, 1 for parallel rays: what densities are divided by
     near: mi.Float  # Length of the end of the segment that lies before the near clip plane
     position: mi.Point2f  # On the film, pixels, relative to the crop window
-    weight: mi.Float  # Importance We |cos| / distance^2 / density of the aperture point
-    pdf: mi.Float  # Solid-angle density of the primary ray through that direction, whole film
+    cosine: mi.Float  # With the sensor's axis
+    pdf: mi.Float  # Density of the primary ray through that direction, as in PrimaryRay
     valid: mi.Bool
 
 
 class Camera:
-    """A perspective or thin-lens sensor of Mitsuba, with the densities that bidirectional weights need.
+    """A perspective, thin-lens or orthographic sensor of Mitsuba, with the densities that weights need.
 
     The film is sampled uniformly, so that the direction density given the aperture point is
-    1 / (A cos^3), A the area of the film's image on the plane at unit distance.
+    1 / (A cos^3), A the area of the film's image on the plane at unit distance. An orthographic
+    sensor's rays are parallel: what has a density is the point of the film plane, 1 / (its area).
+
+    The importance We is normalised to the film: We |cos| = density of the aperture point times
+    density of the direction, so that the mean over the film is the mean over primary rays.
 
     Raises:
         SceneRejected: any other sensor type.
     """
 
     def __init__(self, sensor: mi.Sensor) -> None:
-        name = sensor.class_name()
-        if name not in SUPPORTED:
-            raise SceneRejected("the sensor type is not supported by this integrator: use 'perspective' or 'thinlens'")
+        kind = SUPPORTED.get(sensor.class_name())
+        if kind is None:
+            names = "', '".join(SUPPORTED.values())
+            raise SceneRejected(f"the sensor type is not supported by this integrator: use '{names}'")
         self.sensor = sensor
-        self.has_aperture = name == "ThinLensCamera"
+        self.parallel = kind == "orthographic"
         params = mi.traverse(sensor)
         to_world = params["to_world"]
+        self.has_aperture = kind == "thinlens" and float(params["aperture_radius"][0]) > 0.0
+        self._radius = mi.Float(params["aperture_radius"]) if self.has_aperture else mi.Float(1.0)
         self.axis = dr.normalize(to_world @ mi.Vector3f(0, 0, 1))
+        self._to_local = to_world.inverse()
         self.near_clip = mi.Float(sensor.near_clip())
         film = sensor.film()
         self.size = mi.ScalarVector2u(film.crop_size())
         self.offset = mi.ScalarPoint2i(film.crop_offset())
         self._scale = mi.ScalarVector2f(1.0 / self.size.x, 1.0 / self.size.y)
-        self._inv_area = mi.Float(1.0 / self._image_area())
+        corners = [sensor.sample_ray(0.0, 0.5, mi.Point2f(*at), mi.Point2f(0.5))[0] for at in ((0, 0), (1, 0), (0, 1))]
+        # The film's image: its corner and edges, at unit distance or on the near plane of parallel rays.
+        points = [mi.Vector3f(ray.o) if self.parallel else ray.d / dr.dot(ray.d, self.axis) for ray in corners]
+        self._corner, self._across, self._down = points[0], points[1] - points[0], points[2] - points[0]
+        self._inv_area = mi.Float(1.0 / float(dr.norm(dr.cross(self._across, self._down))[0]))
 
-    def _image_area(self) -> float:
-        """Area of the film's image at unit distance along the axis, from rays through its corners."""
-        corners = []
-        for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
-            ray, _ = self.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5, 0.5))
-            corners.append(mi.Vector3f(ray.d) / dr.dot(ray.d, self.axis))
-        return float(dr.norm(dr.cross(corners[1] - corners[0], corners[2] - corners[0]))[0])
-
-    def sample_ray(
-        self, position: mi.Point2f, u_wavelength: mi.Float, u_aperture: mi.Point2f
-    ) -> tuple[mi.Ray3f, mi.Spectrum, mi.Float]:
-        """Primary ray through a film position in pixels, relative to the crop window.
-
-        Returns the ray, the weight of its wavelengths, and the distance from the aperture to the
-        ray's origin, which Mitsuba moves to the near clip plane.
-        """
+    def sample_ray(self, position: mi.Point2f, u_wavelength: mi.Float, u_aperture: mi.Point2f) -> PrimaryRay:
+        """Primary ray through a film position in pixels, relative to the crop window."""
         ray, weight = self.sensor.sample_ray(
             self.sensor.shutter_open(), u_wavelength, position * self._scale, u_aperture
         )
-        return ray, weight, self.near_clip / dr.dot(ray.d, self.axis)
+        cosine = dr.dot(ray.d, self.axis)
+        return PrimaryRay(ray, weight, self._pdf(cosine), cosine, self.near_clip / cosine)
 
-    def pdf_direction(self, direction: mi.Vector3f) -> mi.Float:
-        """Solid-angle density of a primary ray's direction given its aperture point."""
-        cosine = dr.dot(direction, self.axis)
+    @property
+    def pdf_aperture(self) -> mi.Float:
+        """Area density of the aperture point; infinite where a light path cannot meet the aperture."""
+        return dr.rcp(dr.pi * dr.square(self._radius)) if self.has_aperture else mi.Float(dr.inf)
+
+    def _pdf(self, cosine: mi.Float) -> mi.Float:
+        if self.parallel:
+            return self._inv_area
         return dr.select(cosine > 0.0, self._inv_area * dr.rcp(cosine * cosine * cosine), 0.0)
 
     def connect(self, si: mi.SurfaceInteraction3f, u_aperture: mi.Point2f, active: mi.Bool) -> SensorSample:
         """Connect a surface point to the sensor (strategy t = 1)."""
+        if self.parallel:
+            return self._project(si.p, active)
         ds, weight = self.sensor.sample_direction(si, u_aperture, active)
-        pdf = self.pdf_direction(-ds.d)
-        # The importance is a density over the film: the same for all wavelengths.
+        cosine = -dr.dot(ds.d, self.axis)
+        pdf = self._pdf(cosine)
+        near = self.near_clip / dr.maximum(cosine, dr.epsilon(mi.Float))
+        # The importance is the same for all wavelengths.
         value = weight[0] if dr.size_v(weight) > 0 else weight
-        valid = active & (ds.pdf > 0.0) & (value > 0.0) & (pdf > 0.0)
-        near = self.near_clip / dr.maximum(-dr.dot(ds.d, self.axis), dr.epsilon(mi.Float))
-        return SensorSample(ds.d, ds.dist, near, ds.uv, value, pdf, valid & (ds.dist > near))
+        valid = active & (ds.pdf > 0.0) & (value > 0.0) & (pdf > 0.0) & (ds.dist > near)
+        return SensorSample(ds.d, ds.dist, dr.square(ds.dist), near, ds.uv, cosine, pdf, valid)
+
+    def meet(self, ray: mi.Ray3f, active: mi.Bool) -> SensorSample:
+        """The segment from a ray's origin to where it meets the aperture (strategy t = 0)."""
+        start = self._to_local @ ray.o
+        step = self._to_local @ ray.d
+        at = start - step * (start.z / step.z)
+        lens = mi.Point2f(at.x, at.y) / self._radius
+        inside = active & (step.z < 0.0) & (start.z > 0.0) & (dr.squared_norm(lens) < 1.0)
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.p = ray.o
+        # Mitsuba draws the aperture point from a square: the one that is mapped to where the ray ends.
+        return self.connect(si, mi.warp.uniform_disk_to_square_concentric(lens), inside)
+
+    def _project(self, p: mi.Point3f, active: mi.Bool) -> SensorSample:
+        """Connect along the one direction of parallel rays."""
+        delta = p - self._corner
+        x, y = (dr.dot(delta, edge) / dr.squared_norm(edge) for edge in (self._across, self._down))
+        # The corner lies on the near plane.
+        distance = dr.dot(delta, self.axis)
+        valid = active & (distance > 0.0) & (x >= 0.0) & (x < 1.0) & (y >= 0.0) & (y < 1.0)
+        position = mi.Point2f(x, y) / self._scale
+        one = mi.Float(1.0)
+        return SensorSample(-self.axis, distance, one, mi.Float(0.0), position, one, self._inv_area, valid)

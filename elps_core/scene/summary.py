@@ -31,7 +31,7 @@ class SceneSummary(_Model):
     """In the order of the scene file: the order that the setting ``sensor`` counts."""
     emitters: tuple[EmitterSummary, ...]
     bsdfs: tuple[str, ...]
-    """Classes in use, sorted."""
+    """Kinds of the materials on shapes, and of those that they are made of, sorted."""
     shapes: int
     """Shapes that the scene file names; Mitsuba may merge some."""
     triangles: int

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -122,6 +125,61 @@ def test_invalid_last_event_id(client: httpx.Client, job: dict[str, Any], last: 
 def test_settings_that_do_not_fit(client: httpx.Client, scene: str, change: dict[str, Any]) -> None:
     body = {"scene": scene, "settings": SETTINGS, "stop": {"samples": 4}} | change
     assert_problem(client.post("/v1/jobs", json=body), 422, "settings-rejected")
+
+
+ALGORITHMS = [
+    {"integrator": "path", "path": {"next_event": False}},
+    {"integrator": "light", "heuristic": "balance"},
+    {"integrator": "bdpt", "bdpt": {"strategies": "0,4 2,2", "weighted": False}},
+    {"integrator": "pssmlt", "pssmlt": {"multiplexed": False, "chains": 512}},
+]
+
+
+@pytest.mark.parametrize("settings", ALGORITHMS, ids=[str(given["integrator"]) for given in ALGORITHMS])
+def test_every_algorithm_can_be_asked_for(client: httpx.Client, scene: str, settings: dict[str, Any]) -> None:
+    answer = client.post("/v1/jobs", json={"scene": scene, "settings": settings, "stop": {"samples": 4}})
+    assert answer.status_code == 202, answer.text
+    record = answer.json()
+    assert record["statistics"] == {}
+    for name, value in settings.items():
+        kept = record["settings"][name]
+        assert value.items() <= kept.items() if isinstance(value, dict) else kept == value
+    client.post(f"/v1/jobs/{record['id']}:cancel")
+
+
+GLASS = """<scene version="3.0.0"><sensor type="perspective"/><emitter type="spot"/>
+<shape type="sphere"><bsdf type="dielectric"/></shape><shape type="rectangle"/></scene>"""
+
+
+def test_a_job_says_what_its_image_will_lack(client: httpx.Client) -> None:
+    glass = client.post("/v1/scenes", content=GLASS, headers={"Content-Type": "application/xml"}).json()
+    assert glass["summary"]["warnings"] == []  # it depends on the algorithm
+    for integrator, words in (("bdpt", "both before and after"), ("path", "by way of"), ("mi_depth", None)):
+        body = {"scene": glass["digest"], "settings": {"integrator": integrator}, "stop": {"samples": 4}}
+        job = client.post("/v1/jobs", json=body).json()
+        assert len(job["warnings"]) == (words is not None)
+        assert all(words in line and "'spot'" in line and "'dielectric'" in line for line in job["warnings"])
+        assert client.get(f"/v1/jobs/{job['id']}").json()["warnings"] == job["warnings"]
+        client.post(f"/v1/jobs/{job['id']}:cancel")
+
+
+def test_submit_tells_what_the_image_will_lack(client: httpx.Client, tmp_path: Path) -> None:
+    scene = tmp_path / "glass.xml"
+    scene.write_text(GLASS)
+    command = [sys.executable, "-m", "elps_core.cli", "submit", str(scene), "--url", str(client.base_url)]
+    options = ["--integrator", "path", "--heuristic", "maximum", "--set", "path.next_event=false", "--spp", "4"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=60, check=True)
+    job = client.get(f"/v1/jobs/{done.stdout.strip()}").json()
+    assert (job["settings"]["heuristic"], job["settings"]["path"]) == ("maximum", {"next_event": False})
+    assert done.stderr.splitlines() == [f"warning: {line}" for line in job["warnings"]]
+    assert "finds no light of 'spot'" in done.stderr
+    client.post(f"/v1/jobs/{job['id']}:cancel")
+
+
+def test_an_image_that_nothing_reaches_is_refused(client: httpx.Client, scene: str) -> None:
+    settings = {"integrator": "light", "light": {"connect": False}}
+    answer = client.post("/v1/jobs", json={"scene": scene, "settings": settings, "stop": {"samples": 4}})
+    assert "'thinlens'" in assert_problem(answer, 422, "settings-rejected")
 
 
 def test_context_of_a_queued_job_is_not_there(client: httpx.Client, scene: str) -> None:

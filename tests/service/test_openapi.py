@@ -8,6 +8,9 @@ from pathlib import Path
 
 import httpx
 
+from elps_core.settings import INTEGRATORS
+from service.models import JobRequest
+
 PROBLEM = "application/problem+json"
 SECONDS = 12
 """Time for generated requests."""
@@ -32,6 +35,16 @@ def test_every_operation_is_described(client: httpx.Client) -> None:
                     assert answer["content"][PROBLEM]["examples"], where
     assert "HTTPValidationError" not in document["components"]["schemas"]
     assert document["components"]["schemas"]["JobRequest"]["examples"]
+
+
+def test_every_algorithm_is_described(client: httpx.Client) -> None:
+    schemas = client.get("/openapi.json").json()["components"]["schemas"]
+    assert schemas["RenderSettings"]["properties"]["integrator"]["enum"] == list(INTEGRATORS)
+    assert schemas["PssmltSettings"]["properties"]["chains"]["maximum"] == 2**18
+    assert schemas["BdptSettings"]["properties"]["strategies"]["pattern"]
+    assert {"warnings", "statistics"} <= set(schemas["Job"]["properties"])
+    for example in schemas["JobRequest"]["examples"]:
+        JobRequest.model_validate(example)
 
 
 def test_service_keeps_to_its_document(client: httpx.Client, scene: str, tmp_path: Path) -> None:

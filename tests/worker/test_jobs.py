@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from elps_core.errors import SceneRejected, SettingsRejected
+from elps_core.estimate.film import Chunk
 from elps_core.io.exr import read_exr
-from elps_core.settings import ContextSettings, RenderSettings, StopCriterion
+from elps_core.settings import ContextSettings, LightSettings, RenderSettings, StopCriterion
 from tests.worker.conftest import TINY, chunk_count, finished, wait_for
 from worker.embedded import EmbeddedServer
 from worker.errors import FarmUnavailable
@@ -22,6 +23,7 @@ from worker.farm import Farm
 from worker.models import Event, SceneRecord
 from worker.parts import Parts
 from worker.settings import FarmSettings
+from worker.store import chunk_key
 
 Hire = Callable[[], subprocess.Popen[bytes]]
 
@@ -210,26 +212,70 @@ def test_jobs_at_once_share_one_context_and_the_chunks(
     assert not [key for key in parts.store.keys("contexts") if key.count("/") > 1]  # no checkpoint is left
 
 
-SKY = """<scene version="3.0.0">
+BEAM = """<scene version="3.0.0">
 <sensor type="perspective"><film type="hdrfilm">
 <integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
-<shape type="sphere"/><emitter type="constant"/>
+<shape type="sphere"/><shape type="rectangle"><emitter type="directionalarea"/></shape>
 </scene>"""
-"""Lit by an environment, which bdpt refuses and mi_path renders."""
+"""Lit in a way that our own algorithms refuse and Mitsuba's take."""
 
 
 def test_what_the_renderer_refuses_reaches_the_user(farm: Farm, tmp_path: Path, hire: Hire) -> None:
     hire()
-    upload = tmp_path / "sky.xml"
-    upload.write_text(SKY)
-    sky, _ = farm.add_scene(upload, "sky.xml")
+    upload = tmp_path / "beam.xml"
+    upload.write_text(BEAM)
+    beam, _ = farm.add_scene(upload, "beam.xml")
     wrong = TINY.model_copy(update={"integrator": "bdpt", "light_sampling": "power"})
-    job = finished(farm, farm.submit(sky.digest, wrong, SHORT).id)
+    job = finished(farm, farm.submit(beam.digest, wrong, SHORT).id)
     assert job.state == "failed"
     assert job.message is not None
-    assert "constant" in job.message
+    assert "directionalarea" in job.message
     assert "\n" not in job.message
-    assert finished(farm, farm.submit(sky.digest, TINY, SHORT).id).state == "completed"
+    assert finished(farm, farm.submit(beam.digest, TINY, SHORT).id).state == "completed"
+
+
+GLASS = """<scene version="3.0.0">
+<sensor type="perspective"><film type="hdrfilm">
+<integer name="width" value="32"/><integer name="height" value="32"/></film></sensor>
+<shape type="sphere"><bsdf type="dielectric"/></shape><shape type="rectangle"/><emitter type="point"/>
+</scene>"""
+
+
+def test_a_job_tells_what_its_image_lacks_and_what_its_algorithm_says(
+    farm: Farm, parts: Parts, tmp_path: Path, hire: Hire
+) -> None:
+    upload = tmp_path / "glass.xml"
+    upload.write_text(GLASS)
+    glass, _ = farm.add_scene(upload, "glass.xml")
+    asked = RenderSettings(integrator="path", light_sampling="power", width=32, height=32)
+    first = farm.submit(glass.digest, asked, StopCriterion(samples=2))
+    assert len(first.warnings) == 1
+    assert "'point' that comes by way of 'dielectric'" in first.warnings[0]
+    # Chunks as another worker leaves them: the job merges them and renders nothing.
+    grey = np.full((32, 32, 3), 0.5, np.float32)
+    for index, brightness in enumerate((0.4, 0.6)):
+        chunk = Chunk(index, 1, 0.1, grey, grey[..., 0], {"brightness": brightness})
+        parts.store.put(chunk_key(first.digest, index), chunk.to_bytes())
+    again = farm.submit(glass.digest, asked, StopCriterion(samples=2))
+    hire()
+    for job in (finished(farm, first.id), finished(farm, again.id)):
+        assert (job.state, job.chunks_done, job.warnings) == ("completed", 2, first.warnings)
+        assert job.statistics["brightness"].mean == pytest.approx(0.5)
+        assert job.statistics["brightness"].standard_error == pytest.approx(0.1)
+    image = farm.image(again.id)
+    assert image is not None
+    path = tmp_path / "image.exr"
+    path.write_bytes(image.data)
+    _, attributes = read_exr(path)
+    assert attributes["unreachable"] == first.warnings[0]
+    assert attributes["statistic:brightness"] == pytest.approx(0.5)
+    assert attributes["statistic:brightness:standardError"] == pytest.approx(0.1)
+    assert RenderSettings.model_validate_json(str(attributes["settings"])) == asked
+
+
+def test_a_job_that_no_light_can_reach_is_refused(farm: Farm, scene: SceneRecord) -> None:
+    with pytest.raises(SettingsRejected, match="thinlens"):
+        farm.submit(scene.digest, RenderSettings(integrator="light", light=LightSettings(connect=False)), SHORT)
 
 
 def test_a_lost_redis_is_rebuilt_from_the_store(farm: Farm, parts: Parts, scene: SceneRecord, hire: Hire) -> None:

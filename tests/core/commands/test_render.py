@@ -13,7 +13,10 @@ import pytest
 
 from elps_core.io.exr import read_exr
 
-CONTRACT = {"seconds_total", "seconds_context", "seconds_compile", "spp", "context", "relative_error", "output"}
+CONTRACT = {"seconds_total", "seconds_context", "seconds_compile", "spp", "context", "relative_error", "output"} | {
+    "statistics",
+    "warnings",
+}
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +75,51 @@ def test_seconds_count_everything(maze: Path, tmp_path: Path) -> None:
     assert figures["spp"] >= 4
 
 
+GLASS = """<scene version="3.0.0"><sensor type="perspective"/><emitter type="spot"/><shape type="rectangle"/>
+<shape type="sphere"><bsdf type="dielectric"/></shape></scene>"""
+
+
+def test_light_that_is_lost_is_told_everywhere(tmp_path: Path) -> None:
+    scene, output = tmp_path / "glass.xml", tmp_path / "image.exr"
+    scene.write_text(GLASS)
+    options = ("--size", "8x6", "--spp", "2", "--light-sampling", "power", "--json")
+    done = elps("render", str(scene), "-o", str(output), "--integrator", "path", *options)
+    assert done.returncode == 0, done.stderr
+    (warning,) = json.loads(done.stdout.strip().splitlines()[-1])["warnings"]
+    assert "'spot' that comes by way of 'dielectric'" in warning
+    assert f"warning: {warning}" in done.stderr.splitlines()
+    assert read_exr(output)[1]["unreachable"] == warning
+    again = elps("render", str(scene), "-o", str(output), "--integrator", "path", "--max-depth", "2", *options)
+    assert "warning" not in again.stderr
+    assert "unreachable" not in read_exr(output)[1]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--integrator", "path", "--set", "path.next_event=false"],
+        ["--integrator", "light", "--light-sampling", "uniform", "--heuristic", "balance"],
+        ["--integrator", "bdpt", "--light-sampling", "power", "--set", "bdpt.strategies=2,1 0,4"],
+    ],
+)
+def test_every_algorithm_renders(maze: Path, tmp_path: Path, options: list[str]) -> None:
+    figures = render(maze, tmp_path / "image.exr", *options, "--spp", "4", "--max-depth", "4")
+    assert figures["context"]["digest"] is None
+    assert read_exr(tmp_path / "image.exr")[0]["image"].any()
+
+
+def test_pssmlt_says_how_it_fared(maze: Path, tmp_path: Path) -> None:
+    options = ("--integrator", "pssmlt", "--light-sampling", "power", "--max-depth", "4", "--spp", "64")
+    figures = render(maze, tmp_path / "image.exr", *options)
+    attributes = read_exr(tmp_path / "image.exr")[1]
+    for name in ("b", "accepted_large", "accepted_small"):
+        found = figures["statistics"][name]
+        assert 0.0 < found["standard_error"] < found["mean"]
+        assert attributes[f"statistic:{name}"] == pytest.approx(found["mean"], rel=1e-5)
+        assert attributes[f"statistic:{name}:standardError"] == pytest.approx(found["standard_error"], rel=1e-5)
+    assert figures["statistics"]["accepted_small"]["mean"] > figures["statistics"]["accepted_large"]["mean"]
+
+
 def test_baselines_of_mitsuba_can_be_named(maze: Path, tmp_path: Path) -> None:
     figures = render(maze, tmp_path / "image.exr", "--integrator", "mi_path", "--spp", "8")
     assert figures["spp"] == 8
@@ -86,7 +134,10 @@ def test_a_relative_error_ends_the_render(maze: Path, tmp_path: Path) -> None:
     ("options", "word"),
     [
         (["--integrator", "nothing"], "unknown integrator"),
-        (["--integrator", "pssmlt"], "not built yet"),
+        (["--integrator", "auto"], "not built yet"),
+        (["--integrator", "psmlt"], "did you mean 'pssmlt'"),
+        (["--heuristic", "best"], "heuristic"),
+        (["--integrator", "light", "--set", "light.connect=false"], "thinlens"),
         (["--direction-sampling", "context"], "not built yet"),
         (["--roulette", "context"], "not built yet"),
         (["--spp", "-3"], "samples"),

@@ -89,3 +89,40 @@ def test_one_chunk_has_no_error_estimate() -> None:
     merged.add(chunk(0, 1, np.random.default_rng(5)))
     assert merged.relative_error() is None
     assert not merged.standard_error().any()
+
+
+def with_statistics(index: int, spp: int, **values: float) -> Chunk:
+    blank = np.ones((4, 5, 3), np.float32)
+    return Chunk(index, spp, 0.5, blank, blank[..., 0], values)
+
+
+def test_statistics_are_weighed_by_samples_and_survive_bytes() -> None:
+    first, second = with_statistics(0, 1, b=1.0, rate=0.5), with_statistics(1, 3, b=2.0, rate=np.nan, none=np.nan)
+    assert Chunk.from_bytes(first.to_bytes()).statistics == {"b": 1.0, "rate": 0.5}
+    left, right = Accumulation.empty(5, 4), Accumulation.empty(5, 4)
+    left.add(first)
+    right.add(second)
+    left.merge(Accumulation.from_bytes(right.to_bytes()))
+    found = left.statistics()
+    assert list(found) == ["b", "rate"]
+    assert found["b"].mean == pytest.approx(1.75)
+    assert found["b"].standard_error == pytest.approx(np.sqrt((0.75**2 + 9 * 0.25**2) / (16 - 10)))
+    assert found["rate"] == (0.5, None)
+    assert Accumulation.from_bytes(left.to_bytes()).statistics() == found
+
+
+@pytest.mark.parametrize("power", [0.0, 0.5])
+def test_the_error_of_statistics_is_calibrated(power: float) -> None:
+    """Values that every chunk measures equally well (power 0), and those that gain by its samples."""
+    rng = np.random.default_rng(7)
+    squares, variances = [], []
+    for _ in range(2000):
+        merged = Accumulation.empty(5, 4)
+        for index, spp in enumerate([1, 1, 2, 4, 4, 4, 4, 4]):
+            merged.add(with_statistics(index, spp, b=float(rng.standard_normal()) / spp**power))
+        found = merged.statistics()["b"]
+        assert found.standard_error is not None
+        squares.append(found.mean**2)
+        variances.append(found.standard_error**2)
+    # The mean of 2000 squares of normal values is known to about 3%.
+    assert np.mean(variances) / np.mean(squares) == pytest.approx(1.0, abs=0.12)

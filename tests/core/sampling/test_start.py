@@ -119,7 +119,7 @@ def test_density_of_a_point_is_that_of_drawing_it(mi: Any, shape_lights: Any, em
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(0, 1e6, allow_nan=False), min_size=1, max_size=300))
 def test_quantized_probabilities_are_whole_steps(weights: list[float]) -> None:
-    from elps_core.sampling.start import RESOLUTION, quantized
+    from elps_core.sampling.inversion import RESOLUTION, quantized
 
     steps = quantized(np.array(weights))
     assert steps.sum() == RESOLUTION

@@ -80,6 +80,11 @@ def test_what_the_image_depends_on_enters(tmp_path: Path) -> None:
         {"light_sampling": "power"},
         {"roulette": "none"},
         {"rr_depth": 6},
+        {"heuristic": "balance"},
+        {"bdpt": {"strategies": "1,3"}},
+        {"integrator": "path"},
+        {"integrator": "light"},
+        {"integrator": "pssmlt"},
         {"max_depth": 7},
         {"sensor": 1},
         {"seed": 1},
@@ -103,6 +108,55 @@ def test_a_size_counts_the_same_from_film_or_settings() -> None:
     assert render_digest(SCENE, RenderSettings(), (4, 3)) == render_digest(
         SCENE, RenderSettings(width=4, height=3), (4, 3)
     )
+
+
+ASKED = {
+    "heuristic": "balance",
+    "light_sampling": "power",
+    "roulette": "throughput",
+    "rr_depth": 9,
+    "max_depth": 9,
+    "path": {"next_event": False},
+    "light": {"connect": False},
+    "bdpt": {"strategies": "1,3"},
+    "pssmlt": {"chains": 1024},
+    "context": {"resolution": 32},
+    "seed": 1,
+    "variant": "llvm_ad_spectral",
+    "sensor": 1,
+}
+"""Another value for every setting that could enter a render."""
+ALWAYS = {"seed", "variant", "sensor"}
+OURS = {*ALWAYS, "roulette", "rr_depth", "max_depth", "light_sampling", "heuristic", "context"}
+
+
+@pytest.mark.parametrize(
+    ("base", "entering"),
+    [
+        ({"integrator": "path"}, {*OURS, "path"}),
+        (
+            {"integrator": "path", "path": {"next_event": False}},
+            {*OURS, "path"} - {"light_sampling", "heuristic", "context"},
+        ),
+        ({"integrator": "light"}, {*OURS, "light"}),
+        ({"integrator": "bdpt"}, {*OURS, "bdpt"}),
+        ({"integrator": "bdpt", "light_sampling": "uniform"}, {*OURS, "bdpt"} - {"context"}),
+        ({"integrator": "bdpt", "roulette": "none"}, {*OURS, "bdpt"} - {"rr_depth"}),
+        ({"integrator": "pssmlt"}, {*OURS, "pssmlt"}),
+        # Mitsuba knows one roulette, which the default asks for as well.
+        ({"integrator": "mi_path"}, {*ALWAYS, "rr_depth", "max_depth"}),
+        ({"integrator": "mi_path", "roulette": "none"}, {*ALWAYS, "roulette", "max_depth"}),
+        ({"integrator": "mi_direct"}, ALWAYS),
+    ],
+)
+def test_what_an_integrator_does_not_read_does_not_enter(base: dict[str, Any], entering: set[str]) -> None:
+    assert set(ASKED) | {"integrator", "direction_sampling", "width", "height"} == set(RenderSettings.model_fields)
+    digests = {}
+    for name, other in ASKED.items():
+        value = {"next_event": True} if base.get(name) == other else other
+        digests[name] = render_digest(SCENE, RenderSettings(**{**base, name: value}), (4, 3))
+    plain = render_digest(SCENE, RenderSettings(**base), (4, 3))
+    assert {name for name, digest in digests.items() if digest != plain} == entering
 
 
 def test_context_settings_enter_only_where_a_context_is_used() -> None:

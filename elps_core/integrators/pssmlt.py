@@ -1,0 +1,109 @@
+"""Metropolis light transport in primary sample space: frames from chains [Kelemen et al. 2002; thesis 4.7.4].
+
+A state is all strategies of a pair of paths (:class:`Bidirectional`), or one strategy of a path of
+fixed length (:mod:`elps_core.integrators.multiplexed`). Light that the sensor sees directly is outside
+the chains, where they would spend themselves on what a few plain samples show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from elps_core.integrators.bdpt import Bdpt, Splat
+from elps_core.integrators.chains import Target
+from elps_core.integrators.frame import Frame, FrameRenderer
+from elps_core.integrators.metropolis import Metropolis
+from elps_core.integrators.multiplexed import SHORTEST, START_NUMBERS, Multiplexed, head_numbers, step_numbers
+from elps_core.paths import strategies
+from elps_core.paths.stream import Stream
+from elps_core.settings import PssmltSettings
+
+NEXT_EVENT_NUMBERS = 4
+"""Numbers for a point on an emitter, at each eye vertex."""
+DIRECT_SHARE = 4
+"""Mutations for one plain sample of what the sensor sees directly: there is no noise in it but at edges."""
+
+
+class Bidirectional:
+    """States that are samples of bidirectional path tracing: one eye path, one light path, all connections."""
+
+    def __init__(self, bdpt: Bdpt) -> None:
+        self.bdpt = Bdpt(
+            bdpt.scene,
+            bdpt.camera,
+            bdpt.lights,
+            max_depth=bdpt.max_depth,
+            roulette=bdpt.roulette,
+            strategies=replace(bdpt.strategies, direct=False),
+            heuristic=bdpt.heuristic.kind,
+        )
+        self.groups = 1
+        aperture = 2 if bdpt.camera.has_aperture else 0
+        step = step_numbers(bdpt)
+        eye = head_numbers(bdpt) + bdpt.max_depth * (NEXT_EVENT_NUMBERS + step)
+        light_depth = bdpt.max_depth if bdpt.strategies.aperture else bdpt.max_depth - 1
+        light = START_NUMBERS + light_depth * (aperture + step)
+        self.dimensions = (np.array([eye], np.uint32), np.array([light], np.uint32))
+        self.splats: tuple[int, ...] = (bdpt.max_depth,) * (bdpt.strategies.sensor + bdpt.strategies.aperture)
+
+    def evaluate(
+        self,
+        streams: tuple[Stream, Stream],
+        group: mi.UInt32,  # noqa: ARG002 (there is one)
+        splat: Splat,
+    ) -> tuple[mi.Point2f, mi.Spectrum, mi.Spectrum]:
+        """The eye path's film position, radiance and wavelengths; what the light path shows is splatted."""
+        position = streams[0].next_2d() * mi.Point2f(self.bdpt.camera.size)
+        radiance, wavelengths = self.bdpt.trace(position, streams, splat)
+        return position, radiance, wavelengths
+
+
+class MetropolisFrames:
+    """Renders frames of one film by Metropolis light transport."""
+
+    def __init__(self, bdpt: Bdpt, film: mi.Film, settings: PssmltSettings) -> None:
+        emission = bdpt.lights.emission
+        self.statistics: dict[str, float] = {}
+        """What the last render says of its chains: see :meth:`Metropolis.run`."""
+        direct = Bdpt(
+            bdpt.scene,
+            bdpt.camera,
+            bdpt.lights,
+            max_depth=1,
+            roulette=bdpt.roulette,
+            strategies=strategies.path(next_event=False),
+            heuristic=bdpt.heuristic.kind,
+        )
+        self._direct = FrameRenderer(direct, film)
+        self._visible = emission.has_surface or emission.has_environment
+        self._chains: Metropolis | None = None
+        if bdpt.max_depth >= SHORTEST:
+            target: Target = Multiplexed(bdpt) if settings.multiplexed else Bidirectional(bdpt)
+            self._chains = Metropolis(target, settings)
+
+    def render(self, spp: int, key: tuple[int, ...]) -> Frame:
+        """``spp`` mutations per pixel by a set of chains of its own, named by ``key``."""
+        film = self._direct
+        shape = (int(film.size.y), int(film.size.x))
+        image = dr.zeros(mi.TensorXf, (*shape, 3))
+        if self._visible:
+            image = film.render(-(-spp // DIRECT_SHARE), (*key, 0)).image
+        if self._chains:
+            block = mi.ImageBlock(film.size, mi.ScalarPoint2i(0, 0), 4, film.rfilter)
+
+            def put(where: mi.Point2f, rgb: mi.Color3f, active: mi.Bool) -> None:
+                # Four channels travel as one packet, three would not.
+                block.put(where, [*rgb, mi.Float(0.0)], active)
+                dr.eval(block.tensor())
+
+            self.statistics = self._chains.run(film.pixels * spp, (*key, 1), put)
+            entry = dr.arange(mi.UInt32, film.pixels * 3)
+            pixel = entry // 3
+            shown = dr.gather(mi.Float, block.tensor().array, pixel * 4 + (entry - pixel * 3))
+            shown = shown * (film.pixels / dr.gather(mi.Float, film.coverage(), pixel))
+            image = image + mi.TensorXf(shown, (*shape, 3))
+        return Frame(image, mi.TensorXf(film.coverage() * float(spp), shape))

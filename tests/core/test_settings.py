@@ -1,0 +1,97 @@
+"""What can be asked for, and the one line that answers what cannot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from elps_core.errors import SettingsRejected
+from elps_core.options import settings_from
+from elps_core.settings import BUILT_INTEGRATORS, INTEGRATORS, RenderSettings, with_overrides
+
+
+@pytest.mark.parametrize("name", INTEGRATORS)
+def test_every_integrator_can_be_asked_for(name: str) -> None:
+    assert settings_from({"integrator": name}, None, None).integrator == name
+
+
+def test_every_setting_of_an_algorithm_can_be_set_by_name() -> None:
+    given = {
+        "heuristic": "cutoff",
+        "path.next_event": "false",
+        "light.connect": "false",
+        "bdpt.strategies": "2,2 0,4",
+        "bdpt.weighted": "false",
+        "pssmlt.multiplexed": "false",
+        "pssmlt.large_step": "0.3",
+        "pssmlt.bootstrap": "4096",
+        "pssmlt.chains": "512",
+    }
+    settings = settings_from({}, None, [f"{name}={text}" for name, text in given.items()])
+    assert settings.heuristic == "cutoff"
+    assert not settings.path.next_event
+    assert not settings.light.connect
+    assert settings.bdpt.pairs() == {(0, 4), (2, 2)}
+    assert not settings.bdpt.weighted
+    assert settings.pssmlt.model_dump() == {
+        "multiplexed": False,
+        "large_step": 0.3,
+        "bootstrap": 4096,
+        "chains": 512,
+    }
+    assert RenderSettings.model_validate_json(settings.model_dump_json()) == settings
+
+
+def test_strategies_are_kept_in_one_form() -> None:
+    forms = ("0,4 2,2", "2,2 0,4", "2,2 00,4 2,2")
+    assert {with_overrides(RenderSettings(), {"bdpt.strategies": text}).bdpt.strategies for text in forms} == {
+        "0,4 2,2"
+    }
+    assert RenderSettings().bdpt.pairs() is None
+
+
+def test_a_context_is_needed_where_lights_are_sampled() -> None:
+    needs = {name: RenderSettings(integrator=name).needs_context for name in (*BUILT_INTEGRATORS, "mi_path")}
+    assert needs == {"path": True, "light": True, "bdpt": True, "pssmlt": True, "mi_path": False}
+    pure = with_overrides(RenderSettings(integrator="path"), {"path.next_event": False})
+    assert not pure.needs_context
+    assert not RenderSettings(light_sampling="power").needs_context
+
+
+@pytest.mark.parametrize(
+    ("assignments", "line"),
+    [
+        (["integrator=psmlt"], "unknown integrator (did you mean 'pssmlt'?): choose one of path, light, bdpt, pssmlt"),
+        (["integrator=mi_pth"], "did you mean 'mi_path'?"),
+        (["heuristik=power"], "unknown setting 'heuristik' (did you mean 'heuristic'?)"),
+        (["path.next_events=true"], "unknown setting 'path.next_events' (did you mean 'path.next_event'?)"),
+        (["chains=5"], "unknown setting 'chains'"),
+        (["bdpt.strategies.s=1"], "unknown setting 'bdpt.strategies.s'"),
+        (["pssmlt=1024"], "'pssmlt' is a group of settings: name one of pssmlt.multiplexed, pssmlt.large_step"),
+        (["heuristic=best"], "heuristic: Input should be 'balance', 'power', 'maximum' or 'cutoff'"),
+        (["path.next_event=no"], "path.next_event: give true or false"),
+        (["pssmlt.chains=1.5"], "pssmlt.chains: "),
+        (["pssmlt.chains=many"], "pssmlt.chains: give a whole number"),
+        (["pssmlt.large_step=0"], "pssmlt.large_step: Input should be greater than 0"),
+        (["bdpt.strategies=1.3"], "bdpt.strategies: give a word"),
+        (["bdpt.strategies=1,3;2,2"], "bdpt.strategies: give 'all' or pairs s,t"),
+        (["bdpt.strategies=1,3\n"], "bdpt.strategies: give 'all' or pairs s,t"),
+        (["bdpt.strategies=1,1"], "bdpt.strategies: '1,1' is none: s + t is 3 to 17"),
+        (["bdpt.strategies=4,3", "max_depth=5"], "bdpt.strategies: '4,3' is none: s + t is 3 to 6"),
+        (["bdpt.weighted=false"], "bdpt: without weights every strategy is a whole image"),
+    ],
+)
+def test_mistakes_get_one_line_that_helps(assignments: list[str], line: str) -> None:
+    with pytest.raises(SettingsRejected) as caught:
+        settings_from({}, None, assignments)
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_of_other_algorithms_are_no_mistake() -> None:
+    settings: dict[str, Any] = {"integrator": "path", "max_depth": 2, "bdpt": {"strategies": "4,4"}}
+    assert RenderSettings.model_validate(settings).max_depth == 2
+    with pytest.raises(ValidationError, match="is none"):
+        RenderSettings.model_validate(settings | {"integrator": "bdpt"})
