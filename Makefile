@@ -19,9 +19,11 @@ lint: setup
 ci:
 	@.ci/run
 
-# Both write their report under docs/ and want a machine that does nothing else.
+# All write their reports under docs/ and want a machine that does nothing else. SCENE=FILE adds a comparison of the
+# algorithms at equal time on that scene.
 bench: setup
 	@.venv/bin/python -m tests.benchmarks.main_job
+	@.venv/bin/python -m tests.benchmarks.algorithms $(if $(SCENE),--scene $(SCENE))
 
 validate: setup
 	@.venv/bin/python -m tests.benchmarks.validation

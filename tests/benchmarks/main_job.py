@@ -7,13 +7,12 @@ docs/benchmarks.md. Run it on a machine that does nothing else. ``--seconds`` sh
 from __future__ import annotations
 
 import json
-import platform
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import httpx
 import numpy as np
@@ -21,11 +20,9 @@ import typer
 
 from elps_core.estimate.stats import rel_mse, relative_squares
 from elps_core.io.exr import read_exr
+from tests.benchmarks.common import ELPS, TRIM, processor, render, run
 
-ELPS = Path(sys.executable).with_name("elps")
 REPORT = Path("docs/benchmarks.md")
-TRIM = 0.01
-"""Share of the worst pixels that the trimmed figure leaves out."""
 SIZE = "256x256"
 RUNS = 2
 WAYS = {
@@ -55,12 +52,6 @@ def main(
         ]
     REPORT.write_text("\n".join(text) + "\n")
     print("\n".join(text))
-
-
-def run(*arguments: str) -> str:
-    """Run ``elps``; returns the last line of its output."""
-    done = subprocess.run([str(ELPS), *arguments], check=True, capture_output=True, text=True)
-    return (done.stdout.strip().splitlines() or [""])[-1]
 
 
 def speed(folder: Path) -> list[str]:
@@ -108,18 +99,9 @@ print(json.dumps(rates))
 
 def efficiency(folder: Path, seconds: float, reference_seconds: float) -> list[str]:
     """Equal time on the maze, everything counted, against a converged reference of another seed."""
-    scene = str(folder / "maze.zip")
-
-    def render(output: Path, limit: float, seed: int, *options: str) -> dict[str, Any]:
-        line = run(
-            "render", scene, "-o", str(output), "--size", SIZE, "--seconds", str(limit), "--seed", str(seed),
-            "--json", *options,
-        )  # fmt: skip
-        figures: dict[str, Any] = json.loads(line)
-        return figures
-
+    scene = folder / "maze.zip"
     reference_path = folder / "reference.exr"
-    made = render(reference_path, reference_seconds, 999, "--light-sampling", "adjoint")
+    made = render(scene, reference_path, SIZE, reference_seconds, 999, "--light-sampling", "adjoint")
     parts, _ = read_exr(reference_path)
     reference = parts["image"]
     # A reference has noise of its own, which every difference from it holds too.
@@ -128,7 +110,7 @@ def efficiency(folder: Path, seconds: float, reference_seconds: float) -> list[s
     for turn in range(RUNS):
         for number, (name, options) in enumerate(WAYS.items()):
             output = folder / f"{number}-{turn}.exr"
-            figures = render(output, seconds, turn, *options)
+            figures = render(scene, output, SIZE, seconds, turn, *options)
             picture = read_exr(output)[0]["image"]
             time_taken = float(figures["seconds_total"])
             error, trimmed = rel_mse(picture, reference) - own, rel_mse(picture, reference, trim=TRIM) - own
@@ -197,15 +179,6 @@ def first_image(client: httpx.Client, scene: str, seed: int) -> tuple[float, boo
     hit = bool(client.get(f"/v1/jobs/{job}").json()["context_hit"])
     client.post(f"/v1/jobs/{job}:cancel").raise_for_status()
     return taken, hit
-
-
-def processor() -> str:
-    """The processor's name."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or "an unknown processor"
 
 
 if __name__ == "__main__":

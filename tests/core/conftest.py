@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,16 @@ import pytest
 
 from elps_core import device
 from elps_core.settings import Roulette
+from tests.rendering import Table, render
 
 Array = np.ndarray[Any, Any]
+
+
+@pytest.fixture(autouse=True)
+def _forget_scenes() -> Iterator[None]:
+    """Free a test's scene before the next one: a kernel handles every object that is alive."""
+    yield
+    gc.collect()
 
 
 @pytest.fixture
@@ -40,45 +49,27 @@ def camera_dict(mi: Any) -> Callable[..., dict[str, Any]]:
 def render_bdpt() -> Callable[..., Array]:
     """Independent images [n, height, width, 3] by our bidirectional path tracing."""
 
-    def render(
+    def draw(
         scene: Any,
         *,
         images: int,
         spp: int,
         max_depth: int,
-        table: Callable[[Any], Array] | None = None,
+        table: Table | None = None,
         roulette: Roulette = "albedo",
         seed: int = 0,
     ) -> Array:
-        from elps_core.integrators.bdpt import Bdpt
-        from elps_core.integrators.frame import FrameRenderer
-        from elps_core.paths.roulette import RouletteRule
-        from elps_core.sampling.start import StartDensity, power_table
-        from elps_core.scene.emission import Emission
-        from elps_core.scene.sensors import Camera
+        options: dict[str, Any] = {"roulette": roulette, "seed": seed}
+        return render(scene, "bdpt", images=images, spp=spp, max_depth=max_depth, table=table, **options)
 
-        sensor = scene.sensors()[0]
-        emission = Emission(scene)
-        lights = StartDensity(emission, (table or power_table)(emission))
-        bdpt = Bdpt(scene, Camera(sensor), lights, max_depth=max_depth, roulette=RouletteRule(roulette, 4))
-        frames = FrameRenderer(bdpt, sensor.film())
-        return np.stack([np.array(frames.render(spp, (seed, index)).image) for index in range(images)])
-
-    return render
+    return draw
 
 
 @pytest.fixture
 def render_path() -> Callable[..., Array]:
     """Independent images [n, height, width, 3] by Mitsuba's path tracer without roulette."""
 
-    def render(scene: Any, *, images: int, spp: int, max_depth: int) -> Array:
-        import mitsuba
+    def draw(scene: Any, *, images: int, spp: int, max_depth: int) -> Array:
+        return render(scene, "mi_path", images=images, spp=spp, max_depth=max_depth)
 
-        integrator = mitsuba.load_dict({"type": "path", "max_depth": max_depth, "rr_depth": 1000})
-        results = [
-            np.array(mitsuba.render(scene, integrator=integrator, spp=spp, seed=1000 + index))
-            for index in range(images)
-        ]
-        return np.stack(results)[..., :3]
-
-    return render
+    return draw

@@ -1,0 +1,63 @@
+"""How the tests of the integrators compare a scene of the zoo with its reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+
+from tests.agreement import Agreement, compare
+from tests.rendering import render
+from tests.zoo import ZOO, Entry
+
+Array = np.ndarray[Any, Any]
+
+IMAGES = 16
+"""Independent images of each estimator: enough for Welch's test to know both variances."""
+SPP, REFERENCE_SPP = 40, 128
+"""Samples per pixel and image of bdpt, and of the references, which are cheaper."""
+BLOCK = 8
+LEVEL = 1e-4
+"""Chance of a false alarm of one comparison: about 1% for all that the suite makes."""
+
+
+class Agree(Protocol):
+    """Compares an algorithm's image of a scene with the reference of the zoo."""
+
+    def __call__(
+        self, name: str, algorithm: str, *, more: float = 1.0, crop: Callable[[Array], Array] = ..., **options: Any
+    ) -> Agreement:
+        """``more`` times the usual samples; ``crop`` takes a part of all images; ``options`` as for ``render``."""
+        ...
+
+
+@pytest.fixture(scope="session")
+def references() -> dict[str, Array]:
+    """Images of the references that this run has rendered, by the names of their scenes."""
+    return {}
+
+
+@pytest.fixture
+def agree(tmp_path: Path, references: dict[str, Array]) -> Agree:
+    """See :class:`Agree`."""
+
+    def compared(
+        name: str,
+        algorithm: str,
+        *,
+        more: float = 1.0,
+        crop: Callable[[Array], Array] = lambda images: images,
+        **options: Any,
+    ) -> Agreement:
+        entry: Entry = ZOO[name]
+        scene = entry.load(tmp_path)
+        common: dict[str, Any] = {"images": IMAGES, "max_depth": entry.max_depth, "seed": entry.seed}
+        if name not in references:
+            references[name] = render(scene, entry.reference, spp=round(REFERENCE_SPP * entry.effort), **common)
+        images = render(scene, algorithm, spp=round(SPP * entry.effort * more), **common, **options)
+        return compare(crop(images), crop(references[name]), block=BLOCK, level=LEVEL)
+
+    return compared
