@@ -1,0 +1,1 @@
+"""Weighted rays that stand for radiance and importance [thesis 5.2.2]."""
