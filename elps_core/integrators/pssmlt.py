@@ -106,4 +106,4 @@ class MetropolisFrames:
             shown = dr.gather(mi.Float, block.tensor().array, pixel * 4 + (entry - pixel * 3))
             shown = shown * (film.pixels / dr.gather(mi.Float, film.coverage(), pixel))
             image = image + mi.TensorXf(shown, (*shape, 3))
-        return Frame(image, mi.TensorXf(film.coverage() * float(spp), shape))
+        return Frame(image, mi.TensorXf(film.coverage() * float(spp), shape), self.statistics)

@@ -46,7 +46,7 @@ COMPARED: dict[str, list[str]] = {
     "pssmlt": ["--integrator", "pssmlt", "--set", "pssmlt.multiplexed=false"],
     "pssmlt, multiplexed": ["--integrator", "pssmlt", "--set", "pssmlt.multiplexed=true"],
 }
-PICTURES = ("mi_path", "bdpt", "pssmlt, multiplexed")
+PICTURES = ("mi_path", "bdpt", "pssmlt")
 
 
 def main(
@@ -159,7 +159,7 @@ def comparison(scene: Path, seconds: float, reference_seconds: float, runs: int,
         "",
         f"{size}, depth 16, {seconds:.0f} s a render with loading, compilation and the context counted; {runs} runs",
         f"each, in turns; default settings otherwise. relMSE against {made['spp']} samples per pixel of bdpt of",
-        f"another seed, whose own relative variance, {own:.5f}, is taken off; *trimmed* leaves out {TRIM:.0%} of pixels.",
+        f"another seed, whose own relative variance, {own:.5f}, is taken off; *trimmed* leaves out {TRIM:.0%} of them.",
         "Efficiency is 1 / (relMSE seconds), as a ratio to `mi_path` with and without roulette: mean (range over runs;",
         "trimmed).",
         "",

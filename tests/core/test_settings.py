@@ -24,7 +24,7 @@ def test_every_setting_of_an_algorithm_can_be_set_by_name() -> None:
         "light.connect": "false",
         "bdpt.strategies": "2,2 0,4",
         "bdpt.weighted": "false",
-        "pssmlt.multiplexed": "false",
+        "pssmlt.multiplexed": "true",
         "pssmlt.large_step": "0.3",
         "pssmlt.bootstrap": "4096",
         "pssmlt.chains": "512",
@@ -36,7 +36,7 @@ def test_every_setting_of_an_algorithm_can_be_set_by_name() -> None:
     assert settings.bdpt.pairs() == {(0, 4), (2, 2)}
     assert not settings.bdpt.weighted
     assert settings.pssmlt.model_dump() == {
-        "multiplexed": False,
+        "multiplexed": True,
         "large_step": 0.3,
         "bootstrap": 4096,
         "chains": 512,

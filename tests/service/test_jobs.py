@@ -131,7 +131,7 @@ ALGORITHMS = [
     {"integrator": "path", "path": {"next_event": False}},
     {"integrator": "light", "heuristic": "balance"},
     {"integrator": "bdpt", "bdpt": {"strategies": "0,4 2,2", "weighted": False}},
-    {"integrator": "pssmlt", "pssmlt": {"multiplexed": False, "chains": 512}},
+    {"integrator": "pssmlt", "pssmlt": {"multiplexed": True, "chains": 512}},
 ]
 
 
