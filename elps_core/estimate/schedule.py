@@ -11,8 +11,6 @@ BASELINE_SAMPLES = 1 << 22
 """Of Mitsuba's own integrators."""
 BOOTSTRAP_RATIO = 4
 """Mutations for each path that a Metropolis chunk spends on finding where its chains start, at least."""
-CHAIN_LENGTH = 16
-"""Mutations of each chain, at least: fewer are little more than the start."""
 
 
 def chunk_spp(index: int, settings: RenderSettings, size: tuple[int, int]) -> int:
@@ -27,6 +25,7 @@ def chunk_spp(index: int, settings: RenderSettings, size: tuple[int, int]) -> in
     full = max(1, FULL_SAMPLES.get(settings.integrator, BASELINE_SAMPLES) // pixels).bit_length() - 1
     first = 0
     if settings.integrator == "pssmlt":
-        worth = max(BOOTSTRAP_RATIO * settings.pssmlt.bootstrap, CHAIN_LENGTH * settings.pssmlt.chains)
+        # Chains need no more: smaller chunks have fewer of them.
+        worth = BOOTSTRAP_RATIO * settings.pssmlt.bootstrap
         first = (-(-worth // pixels) - 1).bit_length()
     return 1 << max(first, min(first + max(0, index - 1), full))

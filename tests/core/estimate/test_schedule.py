@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from elps_core.estimate.schedule import BOOTSTRAP_RATIO, CHAIN_LENGTH, FULL_SAMPLES, chunk_spp
+from elps_core.estimate.schedule import BOOTSTRAP_RATIO, FULL_SAMPLES, chunk_spp
 from elps_core.settings import BUILT_INTEGRATORS, PssmltSettings, RenderSettings
 
 SIDES = st.integers(1, 16384)
@@ -34,7 +34,7 @@ def test_no_chunk_of_pssmlt_is_mostly_its_start(width: int, height: int, bootstr
     settings = RenderSettings(integrator="pssmlt", pssmlt=PssmltSettings(bootstrap=bootstrap, chains=chains))
     sizes = schedule(settings, (width, height))
     mutations = sizes[0] * width * height
-    worth = max(BOOTSTRAP_RATIO * bootstrap, CHAIN_LENGTH * chains)
+    worth = BOOTSTRAP_RATIO * bootstrap
     assert mutations >= worth
     assert sizes[0] == 1 or mutations < 2 * worth
     assert sizes[-1] * width * height <= max(FULL_SAMPLES["pssmlt"], mutations)
