@@ -23,6 +23,7 @@ PINHOLE = "no light path meets a pinhole, or an orthographic sensor, by chance"
 NO_EXTENT = "an emitter without extent, or in one direction only, is never met by chance"
 SPECULAR_VIEW = "the sensor sees specular surfaces, which no light path can be joined to"
 UNREACHABLE = "light without extent comes through specular surfaces, which next event estimation does not pass"
+ONE_WAY = "one sees out through a strand and not into it, so that no light path may hold a point on one"
 TOO_NOISY = "too noisy to find any bias"
 
 

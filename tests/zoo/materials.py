@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.zoo.entry import Dict, Entry, specular
+from tests.zoo.entry import ONE_WAY, Dict, Entry, specular
 from tests.zoo.stage import ball, bitmap, camera, diffuse, noise, rgb, scene
 
 
@@ -189,5 +189,5 @@ ENTRIES = [
     Entry("principled", on_the_ball(PRINCIPLED), "principled with every lobe", max_depth=7),
     Entry("principledthin", principled_thin, "principledthin pane with every lobe"),
     Entry("twosided", two_sides, "twosided with two different sides"),
-    Entry("hair", hair, "hair on B-spline curves, diffuse on linear curves"),
+    Entry("hair", hair, "hair on B-spline curves, diffuse on linear curves", {"light": ONE_WAY}),
 ]

@@ -16,12 +16,12 @@ from tests.zoo import ALGORITHMS, ZOO
 CHOICE = {
     "path": ["area-textured", "area-mesh", "projector", "mixed", "envmap", "sunsky", "blendbsdf", "hair", "mask"],
     "path pure": ["area-disk-cylinder", "envmap", "dielectric"],
-    "light": ["area-textured", "area-two-sided-surface", "mixed", "envmap", "principled", "twosided", "thinlens-wide"],
+    "light": ["area-textured", "area-two-sided-surface", "envmap", "principled", "twosided", "thinlens-wide"],
     "light pure": ["thinlens-wide"],
     "bdpt": [name for name in ZOO if name != "maze"],
-    "pssmlt": ["area-textured", "envmap", "mixed", "thinlens-wide", "orthographic", "filter-tent", "roughplastic"],
+    "pssmlt": ["area-textured", "envmap", "mixed", "thinlens-wide", "vertex-normals", "filter-tent", "roughplastic"],
 }
-MORE = {"path": 2.0, "path pure": 4.0, "light": 4.0, "light pure": 20.0, "bdpt": 1.0, "pssmlt": 4.0}
+MORE = {"path": 2.0, "path pure": 4.0, "light": 4.0, "light pure": 40.0, "bdpt": 1.0, "pssmlt": 4.0}
 """Samples of an algorithm, as a multiple of those of bdpt."""
 BOUND = 0.02
 CASES = [(name, algorithm) for name in ZOO for algorithm in ALGORITHMS if name in CHOICE[algorithm]]
