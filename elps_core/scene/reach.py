@@ -37,10 +37,13 @@ _THROUGH_NULL = ("mi_volpath", "mi_volpathmis", "mi_prbvolpath")
 """Integrators of Mitsuba whose shadow rays pass materials that let light straight through."""
 _OTHER_BASELINES = ("mi_depth", "mi_direct")
 """Those that are not meant to find all light."""
+ONE_WAY = frozenset({"hair"})
+"""Materials through which one sees out and not in: paths from the light that scatter there would be wrong (a fifth
+too dark after two strands), and not only noisy."""
 
 
 def check(summary: SceneSummary, settings: RenderSettings) -> None:
-    """Refuse a render whose image nothing can reach.
+    """Refuse a render whose image nothing can reach, or in which light paths would go wrong.
 
     Raises:
         SettingsRejected: so it is; what to change.
@@ -48,6 +51,8 @@ def check(summary: SceneSummary, settings: RenderSettings) -> None:
     if settings.is_baseline:
         return
     chosen = strategies.chosen(settings, aperture=_has_aperture(summary, settings))
+    if chosen.light_paths and ONE_WAY & set(summary.bsdfs):
+        raise SettingsRejected(f"{settings.integrator} cannot render the material 'hair': choose path or mi_path")
     if chosen.shown is not None and not chosen.aperture and all(t == 0 for _, t in chosen.shown):
         raise SettingsRejected("bdpt.strategies: no light path meets a pinhole: use a 'thinlens' sensor, or t above 0")
 

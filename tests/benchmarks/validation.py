@@ -35,8 +35,8 @@ GOAL = 0.002
 """Relative bias of the mean that a comparison should find; what finds it takes no more time."""
 REFERENCE_SHARE = 0.3
 """Part of the variance that is left to the reference, whose samples serve all algorithms and are cheaper."""
-FEW_SPP, PILOT_SPP, PILOT_IMAGES = 8, 64, 8
-"""Images from which noise and speed are known before the samples are chosen; few samples tell the cost of an image."""
+PILOT_SPP, PILOT_IMAGES = 64, 8
+"""Images from which the noise is known before the samples are chosen."""
 NOISE_MARGIN = 1.3
 """On the variance, which few images tell to within a third."""
 STEEPNESS = 7.4
@@ -69,21 +69,25 @@ def estimate(draw: Sampler, seconds: float, share: float) -> tuple[Array, int]:
 
     As many as reach the goal with ``share`` of the variance, and no more than fit in ``seconds``.
     """
-    draw(0, FEW_SPP)  # Compiles.
-    times = [time.perf_counter()]
-    draw(1, FEW_SPP)
-    times.append(time.perf_counter())
-    pilot = np.stack([draw(2 + index, PILOT_SPP) for index in range(PILOT_IMAGES)])
-    times.append(time.perf_counter())
-    few, many = times[1] - times[0], (times[2] - times[1]) / PILOT_IMAGES
-    slope = max((many - few) / (PILOT_SPP - FEW_SPP), 0.2 * many / PILOT_SPP)  # Seconds per sample of all pixels
-    affordable = PILOT_SPP + (seconds / IMAGES - many) / slope
+    # The numbers of these images chose the samples, so that they are not among those that count.
+    pilot = np.stack([draw(index, PILOT_SPP) for index in range(PILOT_IMAGES)])
     means = pilot.mean(axis=(1, 2, 3))
     variance = float(means.var(ddof=1)) * PILOT_SPP / max(float(means.mean()) ** 2, 1e-12)
     wanted = NOISE_MARGIN * variance / (share * (GOAL / STEEPNESS) ** 2) / IMAGES
-    spp = max(FEW_SPP, round(min(wanted, affordable)))
-    # Images of the pilot chose the samples, so that they are not among those that count.
-    return np.stack([draw(2 + PILOT_IMAGES + index, spp) for index in range(IMAGES)]), spp
+    spp = round(affordable(draw, seconds / IMAGES, wanted))
+    return np.stack([draw(PILOT_IMAGES + index, spp) for index in range(IMAGES)]), spp
+
+
+def affordable(draw: Sampler, seconds: float, wanted: float) -> float:
+    """Samples per pixel of one image: ``wanted``, or fewer where they take longer than ``seconds``."""
+    spp = PILOT_SPP
+    while True:
+        begin = time.perf_counter()
+        draw(0, spp)
+        took = time.perf_counter() - begin
+        if spp >= wanted or 2.0 * took > seconds:
+            return max(PILOT_SPP, min(wanted, spp * seconds / took))
+        spp *= 2
 
 
 def validate(entry: Entry, algorithms: list[str], seconds: float, level: float) -> Iterator[Cell]:
@@ -150,7 +154,7 @@ def _shown(cell: Cell | None) -> str:
 def main(
     scene: Annotated[list[str] | None, typer.Option(help="A scene; again for more. All where absent.")] = None,
     algorithm: Annotated[list[str] | None, typer.Option(help="An algorithm; again for more.")] = None,
-    seconds: Annotated[float, typer.Option(min=0.1, help="Longest time of one estimator in one scene.")] = 8.0,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Longest time of one estimator in one scene.")] = 5.0,
     output: Annotated[Path, typer.Option(help="Where the report goes.")] = REPORT,
 ) -> None:
     """Run every comparison and write the report; the exit code is 1 where some images disagree."""

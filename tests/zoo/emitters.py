@@ -210,6 +210,18 @@ def sunsky(mi: Any, folder: Path) -> Dict:
     return scene(mi, light=light)
 
 
+def sky_of_a_moment(mi: Any, folder: Path) -> Dict:
+    light = {
+        "type": "timed_sunsky",
+        "window_start_time": 10.0,
+        "sky_scale": 4.0,
+        "sun_scale": 0.002,
+        "sun_aperture": 15.0,
+        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90),
+    }
+    return scene(mi, light=light)
+
+
 def mixed(mi: Any, folder: Path) -> Dict:
     """Every kind of light at once, none of which outshines the others."""
     return scene(
@@ -233,7 +245,13 @@ ENTRIES = [
     Entry("area-sphere", area_sphere, "area emitter on a sphere, in view"),
     Entry("area-disk-cylinder", area_disk_and_cylinder, "area emitters on a disk and on a cylinder, in view"),
     # Mitsuba's path takes the interpolated normal for the surface's in next event estimation: 5% off in places.
-    Entry("area-mesh", area_mesh, "area emitter on a mesh with interpolated normals, in view", reference="naive"),
+    Entry(
+        "area-mesh",
+        area_mesh,
+        "area emitter on a mesh with interpolated normals, in view",
+        reference="naive",
+        effort=2.0,
+    ),
     Entry("area-textured", area_textured, "textured area emitters, in view and above"),
     Entry("area-two-sided-surface", area_two_sided_surface, "a two-sided surface that glows on one side"),
     Entry("facing-away", facing_away, "emitters that face away from the picture, or from everything", effort=2.0),
@@ -246,5 +264,6 @@ ENTRIES = [
     Entry("constant", constant, "constant environment"),
     Entry("envmap", envmap, "image-based environment, turned, in view"),
     Entry("sunsky", sunsky, "sun and sky"),
+    Entry("timed-sunsky", sky_of_a_moment, "sun and sky at a moment"),
     Entry("mixed", mixed, "area, point, spot, directional and constant emitters together", without_extent()),
 ]

@@ -189,5 +189,10 @@ ENTRIES = [
     Entry("principled", on_the_ball(PRINCIPLED), "principled with every lobe", max_depth=7),
     Entry("principledthin", principled_thin, "principledthin pane with every lobe"),
     Entry("twosided", two_sides, "twosided with two different sides"),
-    Entry("hair", hair, "hair on B-spline curves, diffuse on linear curves", {"light": ONE_WAY}),
+    Entry(
+        "hair",
+        hair,
+        "hair on B-spline curves, diffuse on linear curves",
+        {"light": ONE_WAY, "bdpt": ONE_WAY, "pssmlt": ONE_WAY},
+    ),
 ]

@@ -36,8 +36,17 @@ def empty_table(emission: Any) -> Array:
     return np.zeros((8, 4 * emission.count))
 
 
-@pytest.mark.parametrize("table", [random_table, spiked_table, empty_table], ids=["random", "spiked", "empty"])
-@pytest.mark.parametrize("name", ["area-disk-cylinder", "area-mesh", "mixed", "envmap"])
+TABLES = [
+    ("area-disk-cylinder", random_table),
+    ("area-mesh", random_table),
+    ("envmap", random_table),
+    ("mixed", random_table),
+    ("mixed", spiked_table),
+    ("mixed", empty_table),
+]
+
+
+@pytest.mark.parametrize(("name", "table"), TABLES, ids=[f"{name}-{table.__name__}" for name, table in TABLES])
 def test_no_table_moves_the_image(agree: Agree, name: str, table: Table) -> None:
     agreement = agree(name, "bdpt", more=3.0, table=table)
     assert agreement.agrees, agreement
@@ -45,7 +54,7 @@ def test_no_table_moves_the_image(agree: Agree, name: str, table: Table) -> None
 
 
 @pytest.mark.parametrize("heuristic", HEURISTICS)
-@pytest.mark.parametrize("name", ["thinlens-wide", "roughdielectric", "mixed"])
+@pytest.mark.parametrize("name", ["thinlens-wide", "roughdielectric"])
 def test_no_heuristic_moves_the_image(agree: Agree, name: str, heuristic: str) -> None:
     agreement = agree(name, "bdpt", heuristic=heuristic)
     assert agreement.agrees, agreement
@@ -82,8 +91,15 @@ def test_strategies_add_up_to_the_image(tmp_path: Path, name: str) -> None:
     assert np.allclose(sum(parts), whole, rtol=1e-3, atol=1e-5 * whole.mean())
 
 
-@pytest.mark.parametrize("name", ["near-clip", "normalmap", "crop-gaussian"])
-def test_the_comparison_finds_faults_that_exist(agree: Agree, name: str) -> None:
-    """Mitsuba's light tracer shadows what lies before the near plane, takes the shading frame for the surface,
-    and darkens the borders of a filtered film."""
-    assert not agree(name, "mi_ptracer", more=3.0).agrees
+FAULTS = [
+    ("near-clip", "mi_ptracer"),  # What lies before the near plane casts shadows.
+    ("normalmap", "mi_ptracer"),  # The adjoint lacks the correction for bent normals.
+    ("crop-gaussian", "mi_ptracer"),  # Borders are too dark.
+    ("area-mesh", "mi_path"),  # Light sampling takes the interpolated normal for the surface's.
+]
+
+
+@pytest.mark.parametrize(("name", "algorithm"), FAULTS, ids=[name for name, _ in FAULTS])
+def test_the_comparison_finds_faults_that_exist(agree: Agree, name: str, algorithm: str) -> None:
+    """Mitsuba's own, in integrators that are not ours."""
+    assert not agree(name, algorithm, more=3.0).agrees

@@ -18,10 +18,10 @@ CHOICE = {
     "path pure": ["area-disk-cylinder", "envmap", "dielectric"],
     "light": ["area-textured", "area-two-sided-surface", "envmap", "principled", "twosided", "thinlens-wide"],
     "light pure": ["thinlens-wide"],
-    "bdpt": [name for name in ZOO if name != "maze"],
-    "pssmlt": ["area-textured", "envmap", "mixed", "thinlens-wide", "vertex-normals", "filter-tent", "roughplastic"],
+    "bdpt": [name for name in ZOO if name not in ("maze", "hair")],
+    "pssmlt": ["area-textured", "envmap", "mixed", "thinlens-wide"],
 }
-MORE = {"path": 2.0, "path pure": 4.0, "light": 4.0, "light pure": 40.0, "bdpt": 1.0, "pssmlt": 4.0}
+MORE = {"path": 2.0, "path pure": 4.0, "light": 4.0, "light pure": 40.0, "bdpt": 1.0, "pssmlt": 5.0}
 """Samples of an algorithm, as a multiple of those of bdpt."""
 BOUND = 0.02
 CASES = [(name, algorithm) for name in ZOO for algorithm in ALGORITHMS if name in CHOICE[algorithm]]

@@ -226,3 +226,17 @@ def test_where_nothing_is_said_all_light_is_found(tmp_path: Path, body: str, alg
     assert min(means) > 0.01
     # Means over 147,000 samples, within 1% of each other.
     assert max(means) / min(means) < 1.04
+
+
+def test_hair_is_refused_where_light_paths_would_meet_it() -> None:
+    """One sees out through a fibre and not into it: light paths would carry on from points that the eye never meets."""
+    sensors = (SensorSummary(type="perspective", width=8, height=8),)
+    emitters = (EmitterSummary(type="area", count=1),)
+    summary = SceneSummary(
+        sensors=sensors, emitters=emitters, bsdfs=("diffuse", "hair"), shapes=2, triangles=0, warnings=()
+    )
+    for integrator in ("light", "bdpt", "pssmlt"):
+        with pytest.raises(SettingsRejected, match="hair"):
+            reach.check(summary, RenderSettings(integrator=integrator))
+    for integrator in ("path", "mi_path"):
+        reach.check(summary, RenderSettings(integrator=integrator))
