@@ -69,13 +69,26 @@ class Bdpt:
         self.scene = scene
         self.camera = camera
         self.lights = lights
-        self.max_depth = max_depth
+        # Without a surface there is only what comes straight from the environment.
+        self.max_depth = max_depth = max_depth if scene.shapes() else 1
         self.roulette = roulette
         self.strategies = strategies or all_strategies(aperture=camera.has_aperture)
         self.heuristic = Heuristic(heuristic, max_depth + 1)
         self.connector = Connector(scene, camera, lights, self.strategies, self.heuristic)
         self.slots = max(0, max_depth - 2) if self.strategies.joins else 0
         """Light vertices stored per lane: deeper ones can only be joined to the sensor."""
+
+    def selecting(self, strategies: Strategies, max_depth: int | None = None) -> Bdpt:
+        """The same paths by another selection of strategies, and up to another length."""
+        return Bdpt(
+            self.scene,
+            self.camera,
+            self.lights,
+            max_depth=max_depth or self.max_depth,
+            roulette=self.roulette,
+            strategies=strategies,
+            heuristic=self.heuristic.kind,
+        )
 
     def trace(
         self,
@@ -109,7 +122,7 @@ class Bdpt:
             if deposit:
                 deposit(hit_cell, emitted, wavelengths, walk.active)
             radiance = eye.radiance + emitted
-            if not self.strategies.next_event:
+            if not self.strategies.next_event or self.max_depth == 1:
                 return _Eye(radiance)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             direct = smooth & (vertex.depth < self.max_depth)

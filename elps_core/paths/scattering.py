@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+STRAIGHT = 1e-8
+"""Square of |wi + eta wo| below which a ray passes without being refracted, and tells of no normal."""
+
 
 @dataclass
 class Scattering:
@@ -86,8 +89,12 @@ def sample_from_light(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         radiance = mi.BSDFContext(mi.TransportMode.Radiance)
         value, pdf_rev = bsdf.eval_pdf(radiance, _reversed(si, sample.wo), si.wi, active & ~delta)
-        # A Dirac event's weight is given for wi to wo: its own cosines are exchanged.
-        exchange = dr.abs(mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(sample.wo))
+        # A Dirac event's weight is given for wi to wo: its own cosines are exchanged, those with the normal that
+        # the material bends to. It lies along wi + eta wo where light is refracted, and else they are equal.
+        bent = si.wi + sample.wo * sample.eta
+        refracted = mi.has_flag(sample.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        refracted = refracted & (dr.squared_norm(bent) > STRAIGHT)
+        exchange = dr.select(refracted, dr.abs(dr.dot(bent, si.wi) / dr.dot(bent, sample.wo)), 1.0)
         weight = dr.select(delta, specular * exchange, value / sample.pdf)
         # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
         weight = dr.select(dr.max(specular) > 0.0, weight, 0.0)

@@ -56,7 +56,7 @@ def random_walk(
     state after the last visit. One symbolic loop, hence part of one kernel.
     """
 
-    def body(walk: Walk, state: State) -> tuple[Walk, State]:
+    def extend(walk: Walk, state: State) -> tuple[Vertex, State, mi.Bool]:
         si = scene.ray_intersect(walk.ray, ray_flags=mi.RayFlags.All, coherent=False, active=walk.active)
         active = walk.active & si.is_valid()
         # Rays that leave the scene arrive nowhere: their densities stay those of directions.
@@ -66,8 +66,14 @@ def random_walk(
         # No density is finite on a surface that is seen along its tangent.
         walk.active = walk.active & (cos_in > 0.0)
         active = active & walk.active
-        state = visit(walk, vertex, state, active)
+        return vertex, visit(walk, vertex, state, active), active
 
+    if isinstance(max_depth, int) and max_depth == 1:
+        return extend(start, state)[1]
+
+    def body(walk: Walk, state: State) -> tuple[Walk, State]:
+        vertex, state, active = extend(walk, state)
+        si = vertex.si
         active = active & (vertex.depth < max_depth)
         draw = sample_from_light if side == "light" else sample_from_eye
         event = draw(si, walk.stream.next_1d(), walk.stream.next_2d(), active)

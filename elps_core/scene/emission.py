@@ -30,8 +30,7 @@ from elps_core.scene.emitters import (
 from elps_core.scene.environment import Environment
 from elps_core.scene.meshlight import MeshLights
 from elps_core.scene.shapelight import ShapeLights
-from elps_core.scene.spectrum import luminance as luminance
-from elps_core.scene.spectrum import sample_wavelengths as sample_wavelengths
+from elps_core.scene.spectrum import luminance, sample_wavelengths
 
 POWER_SAMPLES = 32
 """Side of the grid of points (and of directions) over which an emitter's power is averaged."""
@@ -161,14 +160,9 @@ class Emission:
         """F^-1: the u of what a ray met on emitter ``index``; ``si`` as for :meth:`density`."""
         kind = dr.gather(mi.UInt32, self._kind, index, active)
         u = mi.Point2f(si.uv)
-        if "sphere" in self.kinds or "disk" in self.kinds:
-            local = self._local(index, si.p, active)
-            ball = mi.warp.uniform_sphere_to_square(dr.normalize(mi.Vector3f(local)))
-            disk = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(local.x, local.y))
-            u = dr.select(kind == KINDS.index("sphere"), ball, u)
-            u = dr.select(kind == KINDS.index("disk"), disk, u)
-        if "cylinder" in self.kinds:
-            u = dr.select(kind == KINDS.index("cylinder"), mi.Point2f(si.uv.y, si.uv.x), u)
+        if not self.kinds.isdisjoint(ANALYTIC):
+            on_shape = kind < len(ANALYTIC)
+            u = dr.select(on_shape, self._on_shapes.inverse(index, kind, si, active & on_shape), u)
         if self._meshes:
             on_mesh = kind == KINDS.index("mesh")
             u = dr.select(on_mesh, self._meshes.inverse(index, si, active & on_mesh), u)
@@ -206,10 +200,8 @@ class Emission:
         """Radiance of ``emitter`` towards a ray that met it, and the cosine: what :meth:`radiance` gives
         for the same point and direction. ``si`` as for :meth:`density`."""
         value = emitter.eval(si, active)
-        cosine = dr.dot(si.to_world(si.wi), si.n)
-        if self._meshes and self._meshes.smooth:
-            # The side that emits is that of the shading normal, whichever way the triangle is wound.
-            cosine = dr.mulsign(cosine, dr.dot(si.n, si.sh_frame.n))
+        # The side that emits is that of the shading normal, whichever way a triangle is wound or a shape mirrored.
+        cosine = dr.mulsign(dr.dot(si.to_world(si.wi), si.n), dr.dot(si.n, si.sh_frame.n))
         cosine = dr.select(si.is_valid(), dr.maximum(cosine, 0.0), 1.0)
         return value & (active & (cosine > 0.0)), cosine
 
@@ -266,10 +258,6 @@ class Emission:
         return direction, distance2, target
 
     # -- Tables ----------------------------------------------------------------------------------
-
-    def _local(self, index: mi.UInt32, p: mi.Point3f, active: mi.Bool) -> mi.Point3f:
-        rows = [dr.gather(mi.Vector4f, self._to_local, index * 3 + k, active) for k in range(3)]
-        return mi.Point3f(*(row.x * p.x + row.y * p.y + row.z * p.z + row.w for row in rows))
 
     def _axis(self, index: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
         # The third row of the world-to-local map is the local z axis, up to scale.

@@ -51,8 +51,8 @@ class Light:
     shape: Any  # None where no shape carries it
     area: float  # Of the surface; 1 without one
     to_local: Matrix  # World to local, [3, 4]; its third row is the axis of what has one
-    position: Matrix  # [3]; centre of a sphere; of a directional emitter, where its light travels to
-    sign: float  # -1 where the normals of a shape are flipped
+    position: Matrix  # [3]; of a directional emitter, where its light travels to; zero on surfaces
+    sign: float  # -1 where the normals of a shape point inwards
     cos_cutoff: float  # Of the cone around the axis that holds all light of an emitter without extent
     key: tuple[float, ...]
     """Surfaces: bounding box and area. Emitters without extent: position, axis and intensity. At
@@ -104,14 +104,15 @@ def _describe_surface(shape: Any) -> Light:
     if kind not in SURFACES:
         raise SceneRejected(f"an area light on a '{kind}' shape is not supported: use {', '.join(SURFACES)}")
     to_local: Matrix = np.eye(4)
+    sign = -1.0 if shape.has_flipped_normals() else 1.0
     if kind in ANALYTIC:
         to_local = np.linalg.inv(_matrix(mi.traverse(shape)["to_world"]))
+    if kind == "cylinder" and np.linalg.det(to_local) < 0.0:
+        sign = -sign  # Rays meet a mirrored one from within.
     box = shape.bbox()
     area = _number(shape.surface_area())
     key = (*map(float, box.min), *map(float, box.max), area)
-    centre: Matrix = np.array(box.center(), np.float64)
-    sign = -1.0 if shape.has_flipped_normals() else 1.0
-    return Light(kind, shape.emitter(), shape, area, to_local[:3], centre, sign, -1.0, key)
+    return Light(kind, shape.emitter(), shape, area, to_local[:3], np.zeros(3), sign, -1.0, key)
 
 
 def _describe_other(emitter: Any) -> Light:

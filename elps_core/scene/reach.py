@@ -41,6 +41,11 @@ ONE_WAY = frozenset({"hair"})
 """Materials through which one sees out and not in: paths from the light that scatter there would be wrong (a fifth
 too dark after two strands), and not only noisy."""
 
+BENT = frozenset({"bumpmap", "normalmap"})
+"""Materials that turn another's frame."""
+ROUGH_GLASS = frozenset({"principled", "principledthin", "roughdielectric"})
+"""Materials that let light through and scatter it."""
+
 
 def check(summary: SceneSummary, settings: RenderSettings) -> None:
     """Refuse a render whose image nothing can reach, or in which light paths would go wrong.
@@ -71,15 +76,23 @@ def unreachable(summary: SceneSummary, settings: RenderSettings) -> tuple[str, .
     chosen = _strategies(summary, settings)
     if chosen.shown is not None:
         return ()  # a part of the image was asked for
+    lines = []
+    if chosen.light_paths and not chosen.eye_paths and used & BENT and used & ROUGH_GLASS:
+        # Mitsuba asks on which side of the bent frame light goes on, and not on which it has come.
+        lines.append(
+            f"{settings.integrator} does not find a part of the light that {_listed(used & ROUGH_GLASS)} "
+            f"lets through under {_listed(used & BENT)}: choose path or bdpt"
+        )
     lights: dict[str, list[str]] = {}
     for emitter in summary.emitters:
         loss = _loss(chosen, emitter.type, surfaces, settings.max_depth)
         if loss:
             lights.setdefault(loss, []).append(emitter.type)
-    return tuple(
+    lines += [
         f"{settings.integrator} {_LOSSES[loss].format(lights=_listed(types), surfaces=_listed(singular))}"
         for loss, types in sorted(lights.items())
-    )
+    ]
+    return tuple(lines)
 
 
 _LOSSES = {

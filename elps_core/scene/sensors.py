@@ -64,7 +64,7 @@ class Camera:
         self._radius = mi.Float(params["aperture_radius"]) if self.has_aperture else mi.Float(1.0)
         self.axis = dr.normalize(to_world @ mi.Vector3f(0, 0, 1))
         self._to_local = to_world.inverse()
-        self.near_clip = mi.Float(sensor.near_clip())
+        self.near_clip, self._far_clip = mi.Float(sensor.near_clip()), mi.Float(sensor.far_clip())
         film = sensor.film()
         self.size = mi.ScalarVector2u(film.crop_size())
         self.offset = mi.ScalarPoint2i(film.crop_offset())
@@ -97,13 +97,14 @@ class Camera:
         """Connect a surface point to the sensor (strategy t = 1)."""
         if self.parallel:
             return self._project(si.p, active)
-        ds, weight = self.sensor.sample_direction(si, u_aperture, active)
+        ds, _ = self.sensor.sample_direction(si, u_aperture, active)
         cosine = -dr.dot(ds.d, self.axis)
         pdf = self._pdf(cosine)
+        depth = ds.dist * cosine
         near = self.near_clip / dr.maximum(cosine, dr.epsilon(mi.Float))
-        # The importance is the same for all wavelengths.
-        value = weight[0] if dr.size_v(weight) > 0 else weight
-        valid = active & (ds.pdf > 0.0) & (value > 0.0) & (pdf > 0.0) & (ds.dist > near)
+        # Mitsuba's own importance is that of a film around the optical axis: zero for a part of a shifted one.
+        inside = (ds.uv.x >= 0.0) & (ds.uv.y >= 0.0) & (ds.uv.x < int(self.size.x)) & (ds.uv.y < int(self.size.y))
+        valid = active & inside & (ds.pdf > 0.0) & (pdf > 0.0) & (depth > self.near_clip) & (depth < self._far_clip)
         return SensorSample(ds.d, ds.dist, dr.square(ds.dist), near, ds.uv, cosine, pdf, valid)
 
     def meet(self, ray: mi.Ray3f, active: mi.Bool) -> SensorSample:
@@ -124,7 +125,15 @@ class Camera:
         x, y = (dr.dot(delta, edge) / dr.squared_norm(edge) for edge in (self._across, self._down))
         # The corner lies on the near plane.
         distance = dr.dot(delta, self.axis)
-        valid = active & (distance > 0.0) & (x >= 0.0) & (x < 1.0) & (y >= 0.0) & (y < 1.0)
+        valid = (
+            active
+            & (distance > 0.0)
+            & (distance < self._far_clip - self.near_clip)
+            & (x >= 0.0)
+            & (x < 1.0)
+            & (y >= 0.0)
+            & (y < 1.0)
+        )
         position = mi.Point2f(x, y) / self._scale
         one = mi.Float(1.0)
         return SensorSample(-self.axis, distance, one, mi.Float(0.0), position, one, self._inv_area, valid)

@@ -1,4 +1,4 @@
-"""F over area lights on rectangles, spheres, disks and cylinders: uniform by area.
+"""F and F^-1 over area lights on rectangles, spheres, disks and cylinders: uniform by area.
 
 Mitsuba's own sampling of positions cannot be asked through pointers to shapes: the call would have to
 compile for every shape of the scene, and curves and instances have none.
@@ -31,6 +31,7 @@ class ShapeLights:
         self._kinds = frozenset(light.kind for light in lights)
         blank: Matrix = np.eye(4)
         to_local = [np.vstack([light.to_local, blank[3:]]) if light.kind in ANALYTIC else blank for light in lights]
+        self._to_local = mi.Float(np.concatenate([m[:3].ravel() for m in to_local]).astype(np.float32))
         to_world = [np.linalg.inv(matrix)[:3] for matrix in to_local]
         self._to_world = mi.Float(np.concatenate([m.ravel() for m in to_world]).astype(np.float32))
         # Normals turn with the transposed inverse: its rows are the columns of the map to local space.
@@ -61,6 +62,19 @@ class ShapeLights:
         p = mi.Point3f(*self._apply(self._to_world, index, local, 1.0, active))
         n = mi.Normal3f(*self._apply(self._normals, index, mi.Point3f(normal), 0.0, active))
         return ShapePoint(p, dr.normalize(n), uv)
+
+    def inverse(self, index: mi.UInt32, kind: mi.UInt32, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Point2f:
+        """F^-1: the u of what a ray met on light ``index``, not clipped to [0, 1)."""
+        u = mi.Point2f(si.uv)
+        if "sphere" in self._kinds or "disk" in self._kinds:
+            local = mi.Point3f(*self._apply(self._to_local, index, si.p, 1.0, active))
+            ball = mi.warp.uniform_sphere_to_square(dr.normalize(mi.Vector3f(local)))
+            disk = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(local.x, local.y))
+            u = dr.select(kind == KINDS.index("sphere"), ball, u)
+            u = dr.select(kind == KINDS.index("disk"), disk, u)
+        if "cylinder" in self._kinds:
+            u = dr.select(kind == KINDS.index("cylinder"), mi.Point2f(si.uv.y, si.uv.x), u)
+        return u
 
     @staticmethod
     def _apply(table: mi.Float, index: mi.UInt32, v: mi.Point3f, w: float, active: mi.Bool) -> list[mi.Float]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,6 @@ from elps_core.settings import Roulette
 from tests.rendering import Table, render
 
 Array = np.ndarray[Any, Any]
-
-
-@pytest.fixture(autouse=True)
-def _forget_scenes() -> Iterator[None]:
-    """Free a test's scene before the next one: a kernel handles every object that is alive."""
-    yield
-    gc.collect()
 
 
 @pytest.fixture

@@ -90,6 +90,33 @@ def area_two_sided_surface(mi: Any, folder: Path) -> Dict:
     return scene(mi, ball=ball(center=(-0.8, 0.45, 0.1), radius=0.45), leaf=leaf)
 
 
+def area_mirrored(mi: Any, folder: Path) -> Dict:
+    """Mirrored shapes, as exporters write them: a rectangle with its front down, a disk made an ellipse."""
+    mirrored = mi.ScalarTransform4f().scale([-1, 1, 1])
+    above = {"type": "rectangle", "to_world": facing_down(mi, 0.0, 3.2, 0.4, 3.0), "bsdf": diffuse(0.8)}
+    ellipse = mi.ScalarTransform4f().translate([-0.9, 0.5, 0.3]) @ mi.ScalarTransform4f().scale([-0.3, 0.4, 1.0])
+    return scene(
+        mi,
+        light={"type": "rectangle", "to_world": facing_down(mi) @ mirrored, "emitter": area(3.0)},
+        ellipse={"type": "disk", "to_world": ellipse, "bsdf": diffuse(0.5), "emitter": area(1.0)},
+        above=above,
+    )
+
+
+def area_mirrored_cylinder(mi: Any, folder: Path) -> Dict:
+    place = mi.ScalarTransform4f
+    to_world = place().translate([0.7, 0.1, 0.2]) @ place().rotate([1, 0, 0], -70) @ place().scale([-0.3, 0.3, 0.9])
+    lamp = {"type": "cylinder", "to_world": to_world, "emitter": area(2.0)}
+    return scene(mi, ball=ball(center=(-0.5, 0.45, 0.0), radius=0.45), light=lamp)
+
+
+def area_on_rough_glass(mi: Any, folder: Path) -> Dict:
+    """A glass lamp that glows on its outside, and lets light through besides."""
+    glass = {"type": "roughdielectric", "alpha": 0.3}
+    lamp = {"type": "sphere", "center": [0.6, 0.7, 0.2], "radius": 0.4, "bsdf": glass, "emitter": area(2.0)}
+    return scene(mi, ball=ball(center=(-0.5, 0.45, 0.0), radius=0.45), light=lamp)
+
+
 def facing_away(mi: Any, folder: Path) -> Dict:
     """Of three lights, one turns its back to the picture and lights it off the wall; one shines out of the scene."""
     place = mi.ScalarTransform4f
@@ -196,6 +223,11 @@ def envmap(mi: Any, folder: Path) -> Dict:
     return scene(mi, sensor=camera(mi, (0.0, 0.7, 3.4), (0.0, 1.1, 0.0), fov=60.0), light=light)
 
 
+def environment_alone(mi: Any, folder: Path) -> Dict:
+    """No surface at all."""
+    return scene(mi, floor=None, wall=None, ball=None, light=envmap(mi, folder)["light"])
+
+
 def sunsky(mi: Any, folder: Path) -> Dict:
     """A wide dim sun: the real one is 60,000 times as bright as the sky."""
     light = {
@@ -254,6 +286,10 @@ ENTRIES = [
     ),
     Entry("area-textured", area_textured, "textured area emitters, in view and above"),
     Entry("area-two-sided-surface", area_two_sided_surface, "a two-sided surface that glows on one side"),
+    Entry("area-mirrored", area_mirrored, "area emitters on a rectangle and a disk that are mirrored"),
+    # Mitsuba's samples of a mirrored cylinder have their normals inside, its rays meet them outside.
+    Entry("area-mirrored-cylinder", area_mirrored_cylinder, "area emitter on a mirrored cylinder", reference="naive"),
+    Entry("area-on-rough-glass", area_on_rough_glass, "area emitter on a roughdielectric sphere", reference="naive"),
     Entry("facing-away", facing_away, "emitters that face away from the picture, or from everything", effort=2.0),
     Entry("point", point, "point emitter", without_extent()),
     Entry("spot", spot, "spot emitter", without_extent()),
@@ -263,6 +299,7 @@ ENTRIES = [
     Entry("directional", directional, "directional emitter", without_extent()),
     Entry("constant", constant, "constant environment"),
     Entry("envmap", envmap, "image-based environment, turned, in view"),
+    Entry("environment-alone", environment_alone, "an environment without any shape"),
     Entry("sunsky", sunsky, "sun and sky"),
     # Mitsuba evaluates in the middle of tracing when path samples this emitter, and fails.
     Entry("timed-sunsky", sky_of_a_moment, "sun and sky at a moment", reference="naive"),

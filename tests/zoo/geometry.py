@@ -33,6 +33,22 @@ def orthographic(mi: Any, folder: Path) -> Dict:
     return scene(mi, sensor=camera(mi, type="orthographic", to_world=to_world), ball=ball(METAL))
 
 
+def principal_point(mi: Any, folder: Path) -> Dict:
+    """A lens that is shifted against the film."""
+    return scene(mi, sensor=camera(mi, principal_point_offset_x=0.15, principal_point_offset_y=-0.1))
+
+
+def far_clip(mi: Any, folder: Path) -> Dict:
+    """The far plane cuts the ball and leaves the wall out; what it hides lights the rest all the same."""
+    return scene(mi, sensor=camera(mi, far_clip=3.6))
+
+
+def orthographic_clips(mi: Any, folder: Path) -> Dict:
+    place = mi.ScalarTransform4f
+    to_world = place().look_at([0.0, 1.4, 3.0], [0, 0.5, 0], [0, 1, 0]) @ place().scale([1.1, 1.1, 1.0])
+    return scene(mi, sensor=camera(mi, type="orthographic", to_world=to_world, near_clip=2.7, far_clip=3.6))
+
+
 def near_clip(mi: Any, folder: Path) -> Dict:
     """The near plane opens a ball with a lamp inside; a board before it stays unseen, and hides nothing."""
     place = mi.ScalarTransform4f
@@ -229,6 +245,9 @@ ENTRIES = [
     Entry("thinlens", thin_lens, "thin lens"),
     Entry("thinlens-wide", wide_lens, "thin lens that light paths meet by chance", lens=True),
     Entry("orthographic", orthographic, "orthographic sensor"),
+    Entry("orthographic-clips", orthographic_clips, "near and far clip planes of an orthographic sensor", effort=3.0),
+    Entry("principal-point", principal_point, "perspective with a shifted principal point"),
+    Entry("far-clip", far_clip, "far clip plane that cuts geometry"),
     Entry("near-clip", near_clip, "near clip plane that cuts geometry"),
     Entry("crop", crop_box, "crop window with bright surroundings"),
     Entry("crop-gaussian", crop_gaussian, "crop window with a Gaussian filter"),

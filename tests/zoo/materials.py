@@ -41,10 +41,15 @@ def blend(mi: Any, folder: Path) -> Dict:
     return scene(mi, ball=ball({"type": "blendbsdf", "weight": bitmap(mi, noise(12, 6, 6, 1), raw=True), **parts}))
 
 
-def bump(mi: Any, folder: Path) -> Dict:
-    waves = 0.5 + 0.2 * np.sin(np.arange(64) / 3.0)[:, None] * np.cos(np.arange(64) / 4.0)[None, :]
-    map_ = bitmap(mi, waves[..., None], raw=True)
-    return scene(mi, ball=ball({"type": "bumpmap", "map": map_, "scale": 0.5, "bsdf": {"type": "diffuse"}}))
+def bumpy(bsdf: Dict) -> Callable[[Any, Path], Dict]:
+    """The stage with a ball of a material under a bump map."""
+
+    def make(mi: Any, folder: Path) -> Dict:
+        waves = 0.5 + 0.2 * np.sin(np.arange(64) / 3.0)[:, None] * np.cos(np.arange(64) / 4.0)[None, :]
+        map_ = bitmap(mi, waves[..., None], raw=True)
+        return scene(mi, ball=ball({"type": "bumpmap", "map": map_, "scale": 0.5, "bsdf": bsdf}))
+
+    return make
 
 
 def bent(mi: Any) -> Dict:
@@ -169,7 +174,9 @@ ANISOTROPIC = {"type": "roughconductor", "alpha_u": 0.08, "alpha_v": 0.4, "distr
 ENTRIES = [
     Entry("diffuse-textured", diffuse_textured, "diffuse with a bitmap and with a checkerboard"),
     Entry("blendbsdf", blend, "blendbsdf by a texture: rough metal and plastic", specular()),
-    Entry("bumpmap", bump, "bumpmap"),
+    Entry("bumpmap", bumpy({"type": "diffuse"}), "bumpmap over diffuse"),
+    Entry("bumpmap-conductor", bumpy({"type": "conductor"}), "bumpmap over a smooth conductor", specular(), effort=6.0),
+    Entry("bumpmap-dielectric", bumpy({"type": "dielectric"}), "bumpmap over smooth glass", specular(), max_depth=7),
     Entry("normalmap", normal_mapped, "normalmap over a rough conductor"),
     Entry("mask", mask, "mask with a texture over a two-sided surface", specular()),
     Entry("null", nulls, "null interfaces", specular()),

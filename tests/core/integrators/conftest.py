@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -32,6 +33,13 @@ class Agree(Protocol):
     ) -> Agreement:
         """``more`` times the usual samples; ``crop`` takes a part of all images; ``options`` as for ``render``."""
         ...
+
+
+@pytest.fixture(autouse=True)
+def _forget_scenes() -> Iterator[None]:
+    """Free a test's scene before the next one: a kernel handles every object that is alive."""
+    yield
+    gc.collect()
 
 
 @pytest.fixture(scope="session")

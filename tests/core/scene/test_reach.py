@@ -60,6 +60,7 @@ GLASS_AND_WALLS = "diffuse dielectric"
         ("light", "directional", "thindielectric plastic", "perspective", {}, ["'plastic', 'thindielectric'"]),
         ("mi_path", "directional", "roughplastic mask", "thinlens", {}, ["mi_path", "comes by way of 'mask'"]),
         ("mi_volpath", "point", "diffuse mask dielectric", "perspective", {}, ["comes by way of 'dielectric':"]),
+        ("light", "area", "diffuse bumpmap roughdielectric", "perspective", {}, ["a part", "'roughdielectric'"]),
         ("mi_ptracer", "envmap", "diffuse conductor", "thinlens", {}, ["mi_ptracer", "sees in or through"]),
     ],
 )
@@ -87,6 +88,8 @@ def test_lost_light_is_named(
         ("light", "area point", GLASS_AND_WALLS, "thinlens", {}),
         ("light", "area point", GLASS_AND_WALLS, "thinlens", {"light__connect": False}),
         ("light", "area point", "diffuse", "perspective", {}),
+        ("light", "area", "bumpmap diffuse", "perspective", {}),
+        ("bdpt", "area", "bumpmap roughdielectric", "perspective", {}),
         ("mi_volpath", "point", "diffuse mask", "perspective", {}),
         ("mi_depth", "point", GLASS_AND_WALLS, "perspective", {}),
     ],
