@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from elps_core.integrators.bdpt import Splat
 from elps_core.integrators.frame import to_rgb
-from elps_core.paths.primary import Key, PrimaryStream, commit, generator, stream
-from elps_core.paths.stream import Stream
-from elps_core.scene.emission import luminance
+from elps_core.paths.primary import PrimaryStream, commit, stream
+from elps_core.paths.stream import Key, Stream, generator
+from elps_core.scene.spectrum import luminance
 
 GENERATORS = 3
 """Generators of a chain in one step: for its decisions, and for the two streams of the proposal."""
@@ -134,29 +134,19 @@ class Left:
     target: mi.Float  # Of the proposal, left behind or not
 
 
-class Stepper:
-    """Makes steps of chains."""
+def advance(target: Target, state: Chains, step: Step, put: Put, *, move: bool = True) -> mi.Float:
+    """Take the chains one step on, in place; returns the targets of what was proposed.
 
-    def __init__(self, target: Target) -> None:
-        self.target = target
-
-    def step(self, state: Chains, step: Step, put: Put, *, move: bool = True) -> tuple[Chains, mi.Float]:
-        """The chains one step on, and the targets of what was proposed.
-
-        States that are left are ``put`` on the film. Without ``move`` the chains forget their primary samples.
-        """
-        state, left = self._advance(state, step, move)
-        to_film(state, left, put)
-        return state, left.target
-
-    def _advance(self, state: Chains, step: Step, move: bool) -> tuple[Chains, Left]:
-        left, large, accepted = propose(self.target, state, step)
-        dr.eval(state, left, large, accepted)
-        if move:
-            for vectors, proposal, used in zip(state.vectors, streams(state, step)[1:], step.dimensions, strict=True):
-                commit(vectors, proposal.rng, large, accepted, used)
-            dr.eval(state.vectors)
-        return state, left
+    States that are left are ``put`` on the film. Without ``move`` the chains forget their primary samples.
+    """
+    left, large, accepted = propose(target, state, step)
+    dr.eval(state, left, large, accepted)
+    if move:
+        for vectors, proposal, used in zip(state.vectors, streams(state, step)[1:], step.dimensions, strict=True):
+            commit(vectors, proposal.rng, large, accepted, used)
+        dr.eval(state.vectors)
+    to_film(state, left, put)
+    return left.target
 
 
 def propose(target: Target, state: Chains, step: Step) -> tuple[Left, mi.Bool, mi.Bool]:

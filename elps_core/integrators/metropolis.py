@@ -30,9 +30,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.integrators.chains import SLOT_BYTES, Chains, Put, Step, Stepper, Target, remaining, to_film
-from elps_core.paths.primary import opaque_key
-from elps_core.paths.stream import key_seed
+from elps_core.integrators.chains import SLOT_BYTES, Chains, Put, Step, Target, advance, remaining, to_film
+from elps_core.paths.stream import key_seed, opaque_key
 from elps_core.settings import PssmltSettings
 
 MUTATIONS = 16
@@ -99,7 +98,6 @@ class Metropolis:
         slots = 1 + sum(target.splats)
         size = SLOT_BYTES * slots + sum(4 * int(dimensions.max()) for dimensions in target.dimensions)
         self.most_chains = max(target.groups, min(settings.chains, MAX_CHAIN_BYTES // size))
-        self._stepper = Stepper(target)
         self._pilot: Brightness | None = None
         self._none = np.zeros(target.groups)
 
@@ -117,7 +115,7 @@ class Metropolis:
         pilot = self.pilot()
         members = shares(pilot.mean, chains)
         wanted = max(min(self.settings.bootstrap, mutations), mutations // BOOTSTRAP_SHARE)
-        samples = shares(pilot.deviation, _multiple(wanted, chains))
+        samples = shares(pilot.deviation, multiple(wanted, chains))
         visits = members * iterations
         b = CORRELATION * pilot.mean
         scales = Scales(none, b / visits, b * (large_step + samples / visits))
@@ -127,17 +125,17 @@ class Metropolis:
         random = np.random.default_rng(key_seed(*key, RESAMPLING)).random(groups)
         chosen = resample(values, samples, members, random)
         group = np.repeat(np.arange(groups), members)
-        stepper, state = self._stepper, Chains.dark(self.target, chains)
+        state = Chains.dark(self.target, chains)
         # A large step with the numbers of the bootstrap, from no light: always taken.
         first = self._step((*key, BOOTSTRAP), chosen, group, 1.0, Scales(none, none, none))
-        state, _ = stepper.step(state, first, put)
+        advance(self.target, state, first, put)
         state.large, state.took_large = dr.zeros(mi.Float, chains), dr.zeros(mi.Float, chains)
         dr.make_opaque(state.large, state.took_large)
         scales = replace(scales, chain=measured.mean / visits)
         step = self._step((*key, FIRST), np.arange(chains), group, large_step, scales)
         for iteration in range(iterations):
             step.key = opaque_key(*key, FIRST + iteration)
-            state, _ = stepper.step(state, step, put)
+            advance(self.target, state, step, put)
         to_film(state, remaining(state), put)
         large, took_large, took_small = (
             float(np.array(x, np.float64).sum()) for x in (state.large, state.took_large, state.took_small)
@@ -153,7 +151,7 @@ class Metropolis:
         """Estimates of a run that is the same for all chain sets: they shape weights, and cannot bias."""
         if self._pilot is None:
             chains = max(self.target.groups, min(self.most_chains, self.settings.bootstrap))
-            samples = shares(self._none + 1.0, _multiple(self.settings.bootstrap, chains))
+            samples = shares(self._none + 1.0, multiple(self.settings.bootstrap, chains))
             scales = Scales(self._none, self._none, self._none)
             values = self._bootstrap(samples, chains, (PILOT,), scales, lambda *_: None)
             self._pilot = Brightness.of(values, samples)
@@ -164,14 +162,13 @@ class Metropolis:
 
         They are chains that only make large steps, and of which only the proposals count.
         """
-        stepper, state = self._stepper, Chains.dark(self.target, chains)
+        state = Chains.dark(self.target, chains)
         group = np.repeat(np.arange(self.target.groups), samples)
         found = []
         for first in range(0, len(group), chains):
             names = np.arange(first, first + chains)
             step = self._step((*key, BOOTSTRAP), names, group[first : first + chains], 1.0, scales)
-            state, target = stepper.step(state, step, put, move=False)
-            found.append(target)
+            found.append(advance(self.target, state, step, put, move=False))
         to_film(state, remaining(state), put)
         return np.concatenate([np.array(target, np.float64) for target in found])
 
@@ -222,7 +219,7 @@ def resample(values: Floats, samples: Ints, members: Ints, random: Floats) -> In
     return np.concatenate(chosen)
 
 
-def _multiple(number: int, of: int) -> int:
+def multiple(number: int, of: int) -> int:
     """The smallest positive multiple of ``of`` that is not below ``number``."""
     return max(1, -(-number // of)) * of
 

@@ -32,15 +32,7 @@ class Bidirectional:
     """States that are samples of bidirectional path tracing: one eye path, one light path, all connections."""
 
     def __init__(self, bdpt: Bdpt) -> None:
-        self.bdpt = Bdpt(
-            bdpt.scene,
-            bdpt.camera,
-            bdpt.lights,
-            max_depth=bdpt.max_depth,
-            roulette=bdpt.roulette,
-            strategies=replace(bdpt.strategies, direct=False),
-            heuristic=bdpt.heuristic.kind,
-        )
+        self.bdpt = bdpt.selecting(replace(bdpt.strategies, direct=False))
         self.groups = 1
         aperture = 2 if bdpt.camera.has_aperture else 0
         step = step_numbers(bdpt)
@@ -69,16 +61,7 @@ class MetropolisFrames:
         emission = bdpt.lights.emission
         self.statistics: dict[str, float] = {}
         """What the last render says of its chains: see :meth:`Metropolis.run`."""
-        direct = Bdpt(
-            bdpt.scene,
-            bdpt.camera,
-            bdpt.lights,
-            max_depth=1,
-            roulette=bdpt.roulette,
-            strategies=strategies.path(next_event=False),
-            heuristic=bdpt.heuristic.kind,
-        )
-        self._direct = FrameRenderer(direct, film)
+        self._direct = FrameRenderer(bdpt.selecting(strategies.path(next_event=False), max_depth=1), film)
         self._visible = emission.has_surface or emission.has_environment
         self._chains: Metropolis | None = None
         if bdpt.max_depth >= SHORTEST:

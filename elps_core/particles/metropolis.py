@@ -26,13 +26,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.integrators.metropolis import resample, shares
+from elps_core.integrators.metropolis import multiple, resample, shares
 from elps_core.particles.bidirectional import Harvest
 from elps_core.particles.joining import HEAD_NUMBERS, START_NUMBERS, STEP_NUMBERS, Joined, PathJoiner
 from elps_core.particles.records import ParticleBuffer, Particles
 from elps_core.particles.subpaths import STEP_BYTES, StepStore
-from elps_core.paths.primary import Key, PrimaryStream, commit, generator, opaque_key, stream
-from elps_core.paths.stream import Stream, key_seed
+from elps_core.paths.primary import PrimaryStream, commit, stream
+from elps_core.paths.stream import Key, Stream, generator, key_seed, opaque_key
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 
@@ -113,7 +113,7 @@ class MetropolisSampler:
         """Lengths of paths; a chain stays in its own."""
         most = MAX_STORE_BYTES // (HALVES * 2 * max_depth * STEP_BYTES)
         self.chains = max(min(chains, most), self.groups)
-        self._samples = _multiple(bootstrap, self.chains)
+        self._samples = multiple(bootstrap, self.chains)
         self._dimensions = tuple(n + STEP_NUMBERS * max_depth for n in (HEAD_NUMBERS, START_NUMBERS))
         self._pilot: tuple[Doubles, Doubles] | None = None
 
@@ -168,7 +168,7 @@ class MetropolisSampler:
     def pilot(self) -> tuple[Doubles, Doubles]:
         """Mean and standard deviation of the target by length, from a short run that is the same for all runs."""
         if self._pilot is None:
-            samples = shares(np.ones(self.groups), _multiple(self._samples // PILOT_SHARE, self.chains))
+            samples = shares(np.ones(self.groups), multiple(self._samples // PILOT_SHARE, self.chains))
             paths = self._bootstrap(self._dark(), (PILOT,), samples)
             targets = np.concatenate([np.array(path.target, np.float64) for path, _ in paths])
             mean, deviation = (np.array([f(x) for x in _by_group(targets, samples)]) for f in (np.mean, np.std))
@@ -239,8 +239,3 @@ def _by_chain(group: Ints, *values: Doubles) -> list[mi.Float]:
 def _by_group(values: Doubles, samples: Ints) -> list[Doubles]:
     """Values that are sorted by group, apart."""
     return np.split(values, np.cumsum(samples)[:-1])
-
-
-def _multiple(number: int, of: int) -> int:
-    """The smallest positive multiple of ``of`` that is not below ``number``."""
-    return max(1, -(-number // of)) * of

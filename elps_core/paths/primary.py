@@ -15,33 +15,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import log
-from typing import TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 
-from elps_core.paths.stream import TEA_ROUNDS, Stream, key_seed
+from elps_core.paths.stream import Stream
 
 SMALLEST_STEP, LARGEST_STEP = 1.0 / 1024.0, 1.0 / 64.0
 """Bounds of a small step, its size exponentially distributed between them [Kelemen et al. 2002, section 4]."""
 UNIT = 2.0**32
 """Steps of a coordinate in [0, 1)."""
-
-Key: TypeAlias = "tuple[mi.UInt32, mi.UInt32]"
-"""64 bits that name the random numbers of one iteration: data of the kernel, not part of its code."""
-
-
-def opaque_key(*key: int) -> Key:
-    """The key of what the numbers ``key`` name, such as (seed, chunk, iteration)."""
-    seed = key_seed(*key)
-    return dr.opaque(mi.UInt32, seed & 0xFFFFFFFF), dr.opaque(mi.UInt32, seed >> 32)
-
-
-def generator(number: mi.UInt32, key: Key) -> mi.PCG32:
-    """The generator ``number`` of those that ``key`` names; state and sequence are hashes of both."""
-    return mi.PCG32(
-        initstate=mi.sample_tea_64(number, key[0], TEA_ROUNDS), initseq=mi.sample_tea_64(number, key[1], TEA_ROUNDS)
-    )
 
 
 def to_unit(coordinate: mi.UInt32) -> mi.Float:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 
 TEA_ROUNDS = 8
 """Rounds of the tiny encryption algorithm; six are enough, four are not."""
+
+Key: TypeAlias = "tuple[mi.UInt32, mi.UInt32]"
+"""64 bits that name random streams: data of the kernel, not part of its code."""
 
 
 def key_seed(*key: int) -> int:
@@ -18,27 +22,33 @@ def key_seed(*key: int) -> int:
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little")
 
 
+def opaque_key(*key: int) -> Key:
+    """The :data:`Key` of what the numbers ``key`` name."""
+    seed = key_seed(*key)
+    return dr.opaque(mi.UInt32, seed & 0xFFFFFFFF), dr.opaque(mi.UInt32, seed >> 32)
+
+
+def generator(number: mi.UInt32, key: Key) -> mi.PCG32:
+    """The generator ``number`` of those that ``key`` names.
+
+    State and sequence constant are hashes of both: no two (key, number) pairs share a sequence but by a
+    rare accident of 64 bits each. Started from consecutive numbers, PCG32 would be a lattice over them.
+    """
+    return mi.PCG32(
+        initstate=mi.sample_tea_64(number, key[0], TEA_ROUNDS), initseq=mi.sample_tea_64(number, key[1], TEA_ROUNDS)
+    )
+
+
 @dataclass
 class Stream:
-    """Independent uniform numbers in [0, 1), one PCG32 sequence per lane.
-
-    State and sequence constant of a lane are hashes of its number and of the stream's key: no two
-    (key, lane) pairs share a sequence but by a rare accident of 64 bits each.
-    """
+    """Independent uniform numbers in [0, 1), one PCG32 sequence per lane."""
 
     rng: mi.PCG32
 
     @staticmethod
     def of(lanes: int, *key: int) -> Stream:
         """A stream of ``lanes`` lanes named by ``key``, such as (seed, chunk, pass)."""
-        # Hashed per lane: PCG32 started from consecutive numbers is a lattice over the lanes.
-        # Opaque, so that the key is data of the kernel and not part of its code.
-        seed = key_seed(*key)
-        low, high = (dr.opaque(mi.UInt32, half) for half in (seed & 0xFFFFFFFF, seed >> 32))
-        lane = dr.arange(mi.UInt32, lanes)
-        state = mi.sample_tea_64(lane, low, TEA_ROUNDS)
-        sequence = mi.sample_tea_64(lane, high, TEA_ROUNDS)
-        return Stream(mi.PCG32(initstate=state, initseq=sequence))
+        return Stream(generator(dr.arange(mi.UInt32, lanes), opaque_key(*key)))
 
     def next_1d(self) -> mi.Float:
         """One number per lane."""

@@ -169,8 +169,9 @@ def test_as_many_numbers_are_kept_as_are_taken(mi: Any, multiplexed: bool, lens:
     from elps_core.integrators.bdpt import Bdpt
     from elps_core.integrators.multiplexed import Multiplexed
     from elps_core.integrators.pssmlt import Bidirectional
-    from elps_core.paths.primary import PrimaryStream, generator, opaque_key
+    from elps_core.paths.primary import PrimaryStream
     from elps_core.paths.roulette import RouletteRule
+    from elps_core.paths.stream import generator, opaque_key
     from elps_core.sampling.start import StartDensity, power_table
     from elps_core.scene.emission import Emission
     from elps_core.scene.sensors import Camera

@@ -66,7 +66,8 @@ def test_commit_keeps_what_the_stream_showed(mi: Any) -> None:
     """Accepted chains move in all their coordinates, to just the numbers that were seen; the others stay."""
     import drjit as dr
 
-    from elps_core.paths.primary import commit, generator, opaque_key, stream, to_unit
+    from elps_core.paths.primary import commit, stream, to_unit
+    from elps_core.paths.stream import generator, opaque_key
 
     dimensions, chains = 7, 1000
     before = coordinates(4, dimensions * chains)
@@ -95,8 +96,8 @@ def test_a_chain_of_small_steps_keeps_its_distribution(mi: Any) -> None:
     """Detailed balance: from the target, x y over the square, many small steps lead to the target again."""
     import drjit as dr
 
-    from elps_core.paths.primary import commit, generator, opaque_key, stream, to_unit
-    from elps_core.paths.stream import Stream
+    from elps_core.paths.primary import commit, stream, to_unit
+    from elps_core.paths.stream import Stream, generator, opaque_key
 
     rng = np.random.default_rng(7)
     start = np.sqrt(rng.random((2, LANES)))  # The density 2 x by inversion.
