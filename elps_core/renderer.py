@@ -42,16 +42,20 @@ class Renderer:
     def _prepare(self, context: GlobalContext | None) -> make.Frames:
         settings = self.settings
         emission = Emission(self.scene.scene)
+        if settings.needs_tables and context is not None and context.directions is None:
+            raise ContextMismatch("the context has no tables: build one with context.regions of 1 or more")
         if settings.needs_context:
             if context is None:
-                raise ContextMismatch("light sampling 'adjoint' needs a context: build one first")
+                raise ContextMismatch("sampling by context needs a context: build one first")
             if context.scene != self.scene.digest:
                 raise ContextMismatch("the context belongs to another scene: build one for this scene")
+        if context is not None and settings.light_sampling == "adjoint":
             lights = start_density(context, emission)
         else:
             table = uniform_table(emission) if settings.light_sampling == "uniform" else power_table(emission)
             lights = StartDensity(emission, table)
-        return make.frames(self.scene.scene, self.scene.sensor, lights, settings)
+        parts = context.directions if context is not None and settings.needs_tables else None
+        return make.frames(self.scene.scene, self.scene.sensor, lights, settings, parts)
 
     def _mitsuba_integrator(self) -> mi.Integrator:
         name = self.settings.integrator[3:]

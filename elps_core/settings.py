@@ -20,6 +20,8 @@ Variant = Literal["llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_rg
 LightSampling = Literal["uniform", "power", "adjoint"]
 DirectionSampling = Literal["scattering", "context"]
 Roulette = Literal["none", "throughput", "albedo", "context"]
+ParticleSource = Literal["walks", "classical", "bidirectional", "metropolis"]
+TableEncoding = Literal["float32", "float16", "log8"]
 HeuristicKind = Literal["balance", "power", "maximum", "cutoff"]
 
 MAX_DEPTH = 256
@@ -37,8 +39,6 @@ INTEGRATORS = (*BUILT_INTEGRATORS, *(f"mi_{name}" for name in MITSUBA_BASELINES)
 """All that the setting ``integrator`` takes."""
 NOT_BUILT: dict[tuple[str, str], str] = {
     ("integrator", "auto"): "integrator 'auto' is not built yet: use 'bdpt' or 'mi_path'",
-    ("direction_sampling", "context"): "direction sampling 'context' is not built yet: use 'scattering'",
-    ("roulette", "context"): "roulette 'context' is not built yet: use 'albedo', 'throughput' or 'none'",
 }
 """What the contract names and this version refuses, with the line that is shown."""
 
@@ -73,6 +73,25 @@ class ContextSettings(_Model):
     """Longest path measured, in segments."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Random stream of the preprocessing pass."""
+    regions: Annotated[int, Field(ge=0, le=2**16)] = 4096
+    """Regions that the surfaces are divided into, each with its tables of directions; 0: no tables at all."""
+    rows: Annotated[int, Field(ge=2, le=256)] = 32
+    """Cells of a table from pole to pole, of equal solid angle."""
+    columns: Annotated[int, Field(ge=4, le=512)] = 64
+    """Cells of a table around."""
+    particles: ParticleSource = "walks"
+    """What fills the tables: the records that guided eye and light paths leave, or particles of one of three kinds."""
+    paths: Annotated[int, Field(ge=1024, le=2**32)] = 3 * 2**20
+    """Paths that are traced for the tables, of each kind, unless the tables have converged before."""
+    tolerance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05
+    """Relative error of the sums of all regions at which no more paths are traced."""
+    encoding: TableEncoding = "log8"
+    """How a file keeps the tables."""
+
+    def without_tables(self) -> ContextSettings:
+        """What the adjoint image alone depends on, so that all who want no more share it."""
+        fields = ("resolution", "samples_per_cell", "epsilon", "exponent", "max_depth", "seed")
+        return ContextSettings(regions=0, **{name: getattr(self, name) for name in fields})
 
 
 class PathSettings(_Model):
@@ -109,6 +128,9 @@ class BdptSettings(_Model):
         if self.strategies == "all" and not self.weighted:
             raise ValueError("without weights every strategy is a whole image: choose strategies to show")
         return self
+
+    eye_paths: Literal[1, 4, 16] = 1
+    """Eye paths for each light path. Where light paths help little they should cost little."""
 
     def pairs(self) -> frozenset[tuple[int, int]] | None:
         """The chosen (s, t); None for all."""
@@ -176,6 +198,8 @@ class RenderSettings(_Model):
                     f"bdpt.strategies: '{s},{t}' is none: s + t is {_VERTICES} to {most} (max_depth + 1) vertices, "
                     f"or {VISIBLE[0]},{VISIBLE[1]} for light that is seen directly"
                 )
+        if self.needs_tables and self.context.regions == 0:
+            raise ValueError("context.regions: directions and roulette by context need tables: give 1 or more regions")
         if (self.width is None) != (self.height is None):
             raise ValueError("give both width and height, or neither")
         return self
@@ -193,7 +217,17 @@ class RenderSettings(_Model):
     @property
     def needs_context(self) -> bool:
         """Whether the render samples with a global context that must exist first."""
-        return self.samples_lights and self.light_sampling == "adjoint"
+        return (self.samples_lights and self.light_sampling == "adjoint") or self.needs_tables
+
+    @property
+    def needs_tables(self) -> bool:
+        """Whether the render samples directions, or ends paths, by the context's tables."""
+        return not self.is_baseline and "context" in (self.direction_sampling, self.roulette)
+
+    @property
+    def measured(self) -> ContextSettings:
+        """How the context that the render needs is measured."""
+        return self.context if self.needs_tables else self.context.without_tables()
 
 
 class StopCriterion(_Model):

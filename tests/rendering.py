@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from elps_core.context.store import DirectionalParts
 from elps_core.settings import DEPTH_BASELINES, RenderSettings, with_overrides
 
 Array = np.ndarray[Any, Any]
@@ -34,12 +35,19 @@ Sampler = Callable[[int, int], Array]
 
 
 def sampler(
-    scene: Any, algorithm: str, *, max_depth: int, seed: int = 0, table: Table | None = None, **options: Any
+    scene: Any,
+    algorithm: str,
+    *,
+    max_depth: int,
+    seed: int = 0,
+    table: Table | None = None,
+    parts: DirectionalParts | None = None,
+    **options: Any,
 ) -> Sampler:
     """What renders independent images of a scene that ``mi.load_dict`` made, by its first sensor.
 
     ``algorithm`` is one of :data:`WAYS`, or ``mi_<name>`` for an integrator of Mitsuba without roulette.
-    ``options`` are settings by their dotted names with two underscores for each dot (``bdpt__weighted=False``).
+    ``parts`` guide directions and roulette by context. ``options`` are settings by their dotted names with two underscores for each dot (``bdpt__weighted=False``).
     """
     if algorithm == NAIVE:
         return _naive(scene, max_depth, seed)
@@ -53,12 +61,13 @@ def sampler(
         "max_depth": max_depth,
         "light_sampling": "power",  # The table is given here: no context is looked for.
         "rr_depth": RR_DEPTH,
+        **({"direction_sampling": "context", "roulette": "context"} if parts else {}),
         **WAYS[algorithm],
         **{name.replace("__", "."): value for name, value in options.items()},
     }
     emission = Emission(scene)
     lights = StartDensity(emission, (table or uneven_table)(emission))
-    frames = make.frames(scene, scene.sensors()[0], lights, with_overrides(RenderSettings(), chosen))
+    frames = make.frames(scene, scene.sensors()[0], lights, with_overrides(RenderSettings(), chosen), parts)
     return lambda index, spp: np.array(frames.render(spp, (seed, index)).image)
 
 

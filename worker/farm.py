@@ -124,7 +124,7 @@ class Farm:
         summary = SceneSummary.model_validate(record.summary)
         size = self._checked_size(summary, settings)
         reach.check(summary, settings)
-        context = context_digest(scene, settings.sensor, size, settings.context) if settings.needs_context else None
+        context = context_digest(scene, settings.sensor, size, settings.measured) if settings.needs_context else None
         known = None if context is None else self.context(context)
         hit = None if context is None else known is not None and known.state == "ready"
         job = Job(

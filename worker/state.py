@@ -106,7 +106,7 @@ def missing_context(job: Job) -> ContextRecord:
         state="missing",
         scene=job.scene,
         sensor=job.settings.sensor,
-        settings=job.settings.context,
+        settings=job.settings.measured,
     )
 
 

@@ -92,10 +92,10 @@ class Warm:
 
         device.use(job.settings.variant)
         digest = job.context_digest or ""
-        builder = self._builders.get(digest, lambda: ContextBuilder(self._scene(job), job.settings.context))
+        builder = self._builders.get(digest, lambda: ContextBuilder(self._scene(job), job.settings.measured))
         if builder.done != done:
             self._builders.forget(digest)
-            builder = self._builders.get(digest, lambda: ContextBuilder(self._scene(job), job.settings.context))
+            builder = self._builders.get(digest, lambda: ContextBuilder(self._scene(job), job.settings.measured))
             saved = self._store.get(checkpoint_key(digest, done)) if done else None
             if saved is not None:
                 builder.restore(saved)

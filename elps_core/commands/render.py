@@ -145,7 +145,7 @@ def _prepare_context(scene: LoadedScene, settings: RenderSettings, path: Path | 
     begin = time.perf_counter()
     if path is not None and path.exists():
         return _Context(store.load(path), True, time.perf_counter() - begin)
-    context = build_with_progress(scene, settings.context, progress)
+    context = build_with_progress(scene, settings.measured, progress)
     if path is not None:
         store.save(context, path)
     return _Context(context, False, time.perf_counter() - begin)

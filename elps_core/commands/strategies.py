@@ -151,7 +151,7 @@ def _images(
 
     context: GlobalContext | None = None
     if settings.needs_context:
-        context = build_with_progress(scene, settings.context, progress)
+        context = build_with_progress(scene, settings.measured, progress)
     chosen = pairs(settings.max_depth, aperture=Camera(scene.sensor).has_aperture)
     task = progress.add_task("rendering", total=len(chosen))
     images = {}

@@ -11,6 +11,7 @@ from safetensors.numpy import save as save_tensors
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
 from elps_core.context.store import GlobalContext
+from elps_core.context.tables import UNFIT, TableBuilder
 from elps_core.errors import ContextMismatch
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.digest import context_digest
@@ -27,26 +28,34 @@ class ContextBuilder:
     :meth:`to_bytes` and taken up elsewhere with :meth:`restore`.
     """
 
-    steps = adjoint.STEPS
-
     def __init__(self, scene: LoadedScene, settings: ContextSettings) -> None:
         self._scene = scene
         self._settings = settings
-        self._adjoint = AdjointMeasurement(scene.scene, Camera(scene.sensor), Emission(scene.scene), settings)
+        camera = Camera(scene.sensor)
+        self._adjoint = AdjointMeasurement(scene.scene, camera, Emission(scene.scene), settings)
+        self._tables = TableBuilder(scene.scene, camera, settings) if settings.regions else None
         self._seconds = 0.0
+        self.steps = adjoint.STEPS + (self._tables.steps if self._tables else 0)
+        """Steps in all; some at the end are left out where tables have converged before."""
         self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings)
 
     @property
     def done(self) -> int:
         """Steps taken."""
-        return len(self._adjoint.batches)
+        return len(self._adjoint.batches) + (self._tables.done if self._tables else 0)
 
     def step(self) -> None:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`."""
-        if self.done < self.steps:
-            begin = time.perf_counter()
-            self._adjoint.step()
-            self._seconds += time.perf_counter() - begin
+        begin = time.perf_counter()
+        measured = self._adjoint
+        if len(measured.batches) < adjoint.STEPS:
+            measured.step()
+        elif self._tables and self.done < self.steps:
+            table = adjoint.start_table(
+                measured.image(), measured.emission, self._settings.epsilon, self._settings.exponent
+            )
+            self._tables.step(StartDensity(measured.emission, table))
+        self._seconds += time.perf_counter() - begin
 
     def result(self) -> GlobalContext:
         """The context, once all steps are taken.
@@ -59,7 +68,6 @@ class ContextBuilder:
         measured = self._adjoint
         flux = measured.batches.sum(axis=(1, 2))
         statistics = {
-            "seconds": round(self._seconds, 3),
             "paths": int(self._settings.samples_per_cell * measured.rows * measured.columns),
             "emitters": measured.emission.count,
             "rows": measured.rows,
@@ -67,6 +75,19 @@ class ContextBuilder:
             "flux": float(flux.mean()),
             "flux_standard_error": float(flux.std(ddof=1) / np.sqrt(len(flux))),
         }
+        begin = time.perf_counter()
+        tables = self._tables
+        parts = tables.result() if tables else None
+        if tables and parts:
+            statistics |= {
+                "particles": tables.particles,
+                "table_paths": tables.paths,
+                "table_error": tables.relative_error(),
+                "records": int(parts.radiance.evidence.sum()),
+                "median_records": float(np.median(parts.radiance.evidence)),
+            }
+        self._seconds += time.perf_counter() - begin
+        statistics = {"seconds": round(self._seconds, 3), **statistics}
         return GlobalContext(
             digest=self.digest,
             scene=self._scene.digest,
@@ -75,11 +96,15 @@ class ContextBuilder:
             adjoint=measured.image().astype(np.float32),
             emitters=measured.emission.keys,
             statistics=statistics,
+            directions=parts,
         )
 
     def to_bytes(self) -> bytes:
         """The state after the steps taken, as one safetensors record."""
-        return save_tensors({"batches": self._adjoint.batches, "seconds": np.array([self._seconds])})
+        parts = {"batches": self._adjoint.batches, "seconds": np.array([self._seconds])}
+        if self._tables:
+            parts |= {f"tables.{name}": array for name, array in self._tables.arrays().items()}
+        return save_tensors({name: np.ascontiguousarray(array) for name, array in parts.items()})
 
     def restore(self, data: bytes) -> None:
         """Take up a state that :meth:`to_bytes` saved, in this process or another.
@@ -90,8 +115,12 @@ class ContextBuilder:
         record = load_tensors(data)
         batches = record["batches"]
         grid = (self._adjoint.rows, self._adjoint.columns)
-        if batches.ndim != 3 or batches.shape[1:] != grid or len(batches) > self.steps:
-            raise ContextMismatch("the saved state of the context does not fit: measure it again")
+        if batches.ndim != 3 or batches.shape[1:] != grid or len(batches) > adjoint.STEPS:
+            raise ContextMismatch(UNFIT)
+        if self._tables:
+            prefix = "tables."
+            kept = {name.removeprefix(prefix): part for name, part in record.items() if name.startswith(prefix)}
+            self._tables.restore(kept)
         self._adjoint.batches, self._seconds = batches, float(record["seconds"][0])
 
 

@@ -133,6 +133,11 @@ class DirectionalAccumulator:
         count = mi.Vector2u(1, dr.select(some, mi.UInt32(1), mi.UInt32(0)))
         dr.scatter_reduce(dr.ReduceOp.Add, self._counts, count, region, inside)
 
+    @property
+    def state(self) -> list[Any]:
+        """What kernels write to."""
+        return [self._sums, self._squares, self._counts]
+
     def close_batch(self, exposure: float | NDArray[np.floating[Any]] | None = None) -> None:
         """End the open batch.
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from elps_core.context.directional import BELOW_ONE, EqualAreaMap
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.lookup import RegionLookup
-from elps_core.context.regions import Regions
 from elps_core.errors import ContextMismatch
 
 STEPS = 1 << 16
@@ -100,11 +99,11 @@ class DirectionalField:
     below the surface are the caller's to drop. Every direction of every region has a positive one.
     """
 
-    def __init__(self, regions: Regions, tables: DirectionalTables) -> None:
+    def __init__(self, region: RegionLookup, tables: DirectionalTables) -> None:
         count, rows, columns = tables.shape
-        if count != regions.count:
+        if count != region.count:
             raise ContextMismatch("the context's tables belong to other regions: build it again")
-        self.region = RegionLookup(regions)
+        self.region = region
         """Region of a point with a normal, in kernels."""
         self.map = EqualAreaMap(rows, columns)
         self._columns = PackedInversion(_decoder(tables), count * rows, columns)

@@ -102,6 +102,7 @@ class RegionLookup:
 
     def __init__(self, regions: Regions) -> None:
         table = regions.table
+        self.count = regions.count
         self._bricks = mi.UInt32(np.array(table.bricks).ravel())
         # Two regions to a word: kernels have no 16-bit integers.
         pairs = np.zeros(table.cells.size + 1 & ~1, np.uint16)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,87 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save as save_tensors
 
+from elps_core.context.encoding import DirectionalTables
+from elps_core.context.regions import Regions
 from elps_core.errors import ContextMismatch
 from elps_core.settings import ContextSettings
 
-FORMAT = "elps-context-1"
+FORMAT = "elps-context-2"
 """Name and version of the file format: safetensors with the facts as JSON metadata."""
 MAX_HEADER = 1 << 20
 """Bytes of metadata that a file may claim; ours have a few hundred."""
-NUMPY_TYPES: dict[str, np.dtype[Any]] = {"F32": np.dtype(np.float32), "F64": np.dtype(np.float64)}
+MAX_SIDE = 4096
+"""Side of a pilot image that a file may claim; ours have a few hundred."""
+NUMPY_TYPES: dict[str, np.dtype[Any]] = {
+    name: np.dtype(kind)
+    for name, kind in {
+        "F16": np.float16,
+        "F32": np.float32,
+        "F64": np.float64,
+        "U8": np.uint8,
+        "U16": np.uint16,
+        "U32": np.uint32,
+    }.items()
+}
+
+
+@dataclass(frozen=True)
+class DirectionalParts:
+    """Radiance and importance by region and direction [thesis 5.2.3, 5.2.4]."""
+
+    regions: Regions
+    radiance: DirectionalTables
+    """Incident radiance times cosine: luminance per unit of surface."""
+    importance: DirectionalTables
+    """Incident importance times cosine, as a share of what the film's pixels receive."""
+    pilot: NDArray[np.float32]
+    """Estimate of the image [height, width], luminance, blurred, at a resolution of its own."""
+    view: NDArray[np.uint16]
+    """Region that the middle of each of the pilot's pixels shows [height, width]; for eyes only."""
+    density: NDArray[np.float32]
+    """Photons and importons seen from above [2, n, n], in shares of all; for eyes only."""
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything by name, for a file."""
+        parts = {
+            "regions": self.regions.arrays(),
+            "radiance": self.radiance.arrays(),
+            "importance": self.importance.arrays(),
+        }
+        named = {f"{part}.{name}": array for part, owned in parts.items() for name, array in owned.items()}
+        return {**named, "pilot": self.pilot, "view": self.view, "density": self.density}
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, NDArray[Any]]) -> DirectionalParts:
+        """What :meth:`arrays` gave, taken over without copies.
+
+        Raises:
+            ContextMismatch: something is missing, or does not fit the rest.
+        """
+
+        def part(prefix: str) -> dict[str, NDArray[Any]]:
+            return {name.partition(".")[2]: array for name, array in arrays.items() if name.startswith(f"{prefix}.")}
+
+        regions = Regions.from_arrays(part("regions"))
+        radiance, importance = (DirectionalTables.from_arrays(part(name)) for name in ("radiance", "importance"))
+        try:
+            pilot, view, density = (arrays[name] for name in ("pilot", "view", "density"))
+        except KeyError:
+            raise ContextMismatch("the tables of the context are damaged: build it again") from None
+        if (
+            pilot.ndim != 2
+            or not 0 < min(pilot.shape) <= max(pilot.shape) <= MAX_SIDE
+            or view.shape != pilot.shape
+            or density.ndim != 3
+            or density.shape != (2, density.shape[1], density.shape[1])
+            or density.size == 0
+            or [pilot.dtype, view.dtype, density.dtype] != [np.float32, np.uint16, np.float32]
+            or not np.isfinite(pilot).all()
+            or radiance.shape[0] != regions.count
+            or importance.shape != radiance.shape
+        ):
+            raise ContextMismatch("the tables of the context are damaged: build it again")
+        return DirectionalParts(regions, radiance, importance, pilot, view, density)
 
 
 @dataclass(frozen=True)
@@ -39,6 +113,8 @@ class GlobalContext:
     """One key per emitter [count, 7], to recognise them in another load of the scene."""
     statistics: dict[str, Any]
     """Facts of the build: seconds, paths, emitters, flux."""
+    directions: DirectionalParts | None = None
+    """Tables of directions, where the settings ask for regions."""
 
     def to_bytes(self) -> bytes:
         """The context as one safetensors record."""
@@ -49,7 +125,10 @@ class GlobalContext:
             "settings": self.settings.model_dump(),
             "statistics": self.statistics,
         }
-        tensors = {"adjoint": np.ascontiguousarray(self.adjoint), "emitters": np.ascontiguousarray(self.emitters)}
+        tensors = {"adjoint": self.adjoint, "emitters": self.emitters}
+        if self.directions is not None:
+            tensors |= self.directions.arrays()
+        tensors = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
         return save_tensors(tensors, metadata={"format": FORMAT, "facts": json.dumps(facts)})
 
 
@@ -88,12 +167,14 @@ def load(path: Path) -> GlobalContext:
             adjoint=tensors["adjoint"],
             emitters=tensors["emitters"],
             statistics=dict(facts["statistics"]),
+            directions=DirectionalParts.from_arrays(tensors) if "pilot" in tensors else None,
         )
     except OSError:
         raise ContextMismatch("the context file cannot be opened: check the path") from None
     except (KeyError, TypeError, ValueError):  # includes JSON, Unicode and pydantic errors
         raise ContextMismatch("not a context file: build one with 'elps context build'") from None
-    if context.adjoint.ndim != 2 or context.emitters.ndim != 2:
+    adjoint, emitters = context.adjoint, context.emitters
+    if adjoint.ndim != 2 or emitters.ndim != 2 or not len(emitters) or adjoint.shape[1] % len(emitters):
         raise ContextMismatch("not a context file: build one with 'elps context build'")
     return context
 

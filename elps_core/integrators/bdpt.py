@@ -23,6 +23,7 @@ from elps_core.paths.strategies import bdpt as all_strategies
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex, VertexStore
 from elps_core.paths.walk import Walk, random_walk
+from elps_core.sampling.direction import SCATTERING, Directions
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, PrimaryRay, SensorSample
 from elps_core.settings import HeuristicKind
@@ -31,6 +32,8 @@ Splat: TypeAlias = "Callable[[mi.Point2f, mi.Spectrum, mi.Spectrum, mi.Bool], No
 """Adds a light path's contribution at a film position, pixels relative to the crop window."""
 Deposit: TypeAlias = "Callable[[mi.UInt32, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
 """Adds a contribution to the adjoint image, at the cell where the light vertex lies."""
+Worth: TypeAlias = "Callable[[mi.Point2f], mi.Float]"
+"""What a unit of luminance is worth at a film position, pixels relative to the crop window."""
 
 
 @dataclass
@@ -50,7 +53,8 @@ class _Light:
 class Bdpt:
     """The paths of one scene, sensor, start density and selection of strategies.
 
-    ``max_depth`` counts segments as Mitsuba does; ``deposit``, where given to :meth:`trace`,
+    ``max_depth`` counts segments as Mitsuba does; ``thinning`` is the number of eye paths for one light path: weights
+    count with it, and :meth:`trace` is told which eye paths have one; ``deposit``, where given to :meth:`trace`,
     receives every contribution with the cell of its light vertex, so that the same code that
     renders measures the adjoint image.
     """
@@ -65,6 +69,9 @@ class Bdpt:
         roulette: RouletteRule,
         strategies: Strategies | None = None,
         heuristic: HeuristicKind = "power",
+        directions: Directions = SCATTERING,
+        worth: Worth | None = None,
+        thinning: int = 1,
     ) -> None:
         self.scene = scene
         self.camera = camera
@@ -74,7 +81,10 @@ class Bdpt:
         self.roulette = roulette
         self.strategies = strategies or all_strategies(aperture=camera.has_aperture)
         self.heuristic = Heuristic(heuristic, max_depth + 1)
-        self.connector = Connector(scene, camera, lights, self.strategies, self.heuristic)
+        self.directions = directions
+        self.worth = worth
+        self.thinning = thinning
+        self.connector = Connector(scene, camera, lights, self.directions, self.strategies, self.heuristic, thinning)
         self.slots = max(0, max_depth - 2) if self.strategies.joins else 0
         """Light vertices stored per lane: deeper ones can only be joined to the sensor."""
 
@@ -88,6 +98,9 @@ class Bdpt:
             roulette=self.roulette,
             strategies=strategies,
             heuristic=self.heuristic.kind,
+            directions=self.directions,
+            worth=self.worth,
+            thinning=self.thinning,
         )
 
     def trace(
@@ -97,22 +110,25 @@ class Bdpt:
         splat: Splat,
         deposit: Deposit | None = None,
         between: Callable[[], None] = lambda: None,
+        light_scale: float | None = 1.0,
     ) -> tuple[mi.Spectrum, mi.Spectrum]:
         """One pass over all lanes. Returns the radiance of the eye paths through ``position``.
 
         ``position`` holds film positions in pixels relative to the crop window, one per lane, drawn
         uniformly over the film; ``streams`` the random numbers of the eye and of the light paths.
         Contributions of light paths go to ``splat``, each per light path over the whole film.
+        ``light_scale`` is the number of eye paths for one light path as they are traced, None for eye paths alone.
         ``between`` is called when the light kernel has run and the eye kernel is about to be built.
         """
         eye_stream, light_stream = streams
         lanes = dr.width(position)
-        connector, stored_depth = self.connector, self.slots
+        connector, stored_depth = self.connector, 0 if light_scale is None else self.slots
+        scale = dr.opaque(mi.Float, light_scale or 0.0)
         primary = self.primary(position, eye_stream)
         wavelengths = primary.ray.wavelengths
-        store = VertexStore(lanes, self.slots, tangents=connector.surfaces.bends_frames, ratios=self.heuristic.width)
+        store = VertexStore(lanes, stored_depth, tangents=connector.surfaces.bends_frames, ratios=self.heuristic.width)
         cell = mi.UInt32(0)
-        if self.strategies.light_paths and self.max_depth >= 2:
+        if self.strategies.light_paths and self.max_depth >= 2 and light_scale is not None:
             cell = self._light_walk(light_stream, wavelengths, primary.weight, lanes, store, splat, deposit)
         between()
         lane = dr.arange(mi.UInt32, lanes)
@@ -139,7 +155,7 @@ class Bdpt:
                 light = store.read(slot, lane, wavelengths, more)
                 # Depths grow with the slot: what follows a vertex that is too deep is too deep.
                 more = more & (vertex.depth + light.depth + 1 <= self.max_depth)
-                joined = connector.connect_vertices(vertex, light, more)
+                joined = connector.connect_vertices(vertex, light, more) * scale
                 if deposit:
                     deposit(cell, joined, wavelengths, more)
                 return slot + 1, total + joined, more & (slot + 1 < count)
@@ -157,6 +173,7 @@ class Bdpt:
             max_depth=self.max_depth if self.strategies.eye_paths else 1,
             roulette=self.roulette,
             heuristic=self.heuristic,
+            directions=self.directions,
             label="elps eye walk",
         )
         return eye.radiance, wavelengths
@@ -179,6 +196,7 @@ class Bdpt:
             depth=dr.zeros(mi.UInt32, lanes),
             offset=primary.offset,
             parallel=dr.full(mi.Bool, self.camera.parallel, lanes),
+            worth=dr.ones(mi.Float, lanes) * (self.worth(primary.position) if self.worth else 1.0),
             stream=stream,
             active=dr.full(mi.Bool, True, lanes),
         )
@@ -194,11 +212,12 @@ class Bdpt:
         return Walk(
             ray=ray,
             beta=radiance * (cosine / (start.pdf * pdf)),
-            partial=self._full(self.heuristic.start(pdf_point, cosine, pdf, "light"), lanes),
+            partial=self._full(self.heuristic.start(pdf_point, cosine, pdf, "light", 1.0 / self.thinning), lanes),
             eta=dr.ones(mi.Float, lanes),
             depth=dr.zeros(mi.UInt32, lanes),
             offset=dr.zeros(mi.Float, lanes),
             parallel=point.infinite & dr.full(mi.Bool, True, lanes),
+            worth=dr.ones(mi.Float, lanes),
             stream=stream,
             active=(pdf > 0.0) & (dr.max(radiance) > 0.0),
         )
@@ -246,6 +265,7 @@ class Bdpt:
             max_depth=self.max_depth if self.strategies.aperture else self.max_depth - 1,
             roulette=self.roulette,
             heuristic=self.heuristic,
+            directions=self.directions,
             label="elps light walk",
         )
         store.count = light.stored

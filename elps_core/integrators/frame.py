@@ -54,27 +54,37 @@ class FrameRenderer:
 
     def render(self, spp: int, key: tuple[int, ...]) -> Frame:
         """``spp`` samples per pixel from the random streams named by ``key``."""
-        total = self.pixels * spp
-        lanes = min(MAX_LANES, max(1, MAX_STORE_BYTES // (max(1, self.bdpt.slots) * VERTEX_BYTES)))
-        passes = -(-total // lanes)
-        lanes = -(-total // passes)
+        # Samples with a light path come first, so that all lanes of a pass do alike.
+        lit_spp = -(-spp // self.bdpt.thinning)
+        most = min(MAX_LANES, max(1, MAX_STORE_BYTES // (max(1, self.bdpt.slots) * VERTEX_BYTES)))
         eye, light = self._block(4), self._block(4)
-        for number in range(passes):
-            first = number * lanes
-            self._render_pass(min(lanes, total - first), first, (*key, number), eye, light)
-            dr.eval(eye.tensor(), light.tensor())
+        number = 0
+        for count, scale in ((lit_spp, spp / lit_spp), (spp - lit_spp, None)):
+            total = self.pixels * count
+            passes = -(-total // most)
+            lanes = -(-total // max(1, passes))
+            for first in range(0, total, max(1, lanes)):
+                self._render_pass(min(lanes, total - first), first, (*key, number), scale, eye, light)
+                dr.eval(eye.tensor(), light.tensor())
+                number += 1
         channels, splats = eye.tensor().array, light.tensor().array
         pixel = dr.arange(mi.UInt32, self.pixels * 3) // 3
         channel = dr.arange(mi.UInt32, self.pixels * 3) % 3
         weight = dr.gather(mi.Float, channels, dr.arange(mi.UInt32, self.pixels) * 4 + 3)
         seen = dr.gather(mi.Float, channels, pixel * 4 + channel)
-        lit = dr.gather(mi.Float, splats, pixel * 4 + channel) / (spp * dr.gather(mi.Float, self.coverage(), pixel))
+        lit = dr.gather(mi.Float, splats, pixel * 4 + channel) / (lit_spp * dr.gather(mi.Float, self.coverage(), pixel))
         image = seen / dr.maximum(dr.gather(mi.Float, weight, pixel), dr.smallest(mi.Float)) + lit
         shape = (int(self.size.y), int(self.size.x))
         return Frame(mi.TensorXf(image, (*shape, 3)), mi.TensorXf(weight, shape))
 
     def _render_pass(
-        self, lanes: int, first: int, key: tuple[int, ...], eye: mi.ImageBlock, light: mi.ImageBlock
+        self,
+        lanes: int,
+        first: int,
+        key: tuple[int, ...],
+        light_scale: float | None,
+        eye: mi.ImageBlock,
+        light: mi.ImageBlock,
     ) -> None:
         streams = (Stream.of(lanes, *key, 0), Stream.of(lanes, *key, 1))
         pixel = (dr.arange(mi.UInt32, lanes) + dr.opaque(mi.UInt32, first)) % self.pixels
@@ -87,7 +97,7 @@ class FrameRenderer:
             rgb = to_rgb(value, wavelengths)
             light.put(where, [*rgb, mi.Float(0.0)], active & dr.any(rgb != 0.0))
 
-        radiance, wavelengths = self.bdpt.trace(position, streams, splat)
+        radiance, wavelengths = self.bdpt.trace(position, streams, splat, light_scale=light_scale)
         eye.put(position, [*to_rgb(radiance, wavelengths), mi.Float(1.0)])
 
     def coverage(self) -> mi.Float:

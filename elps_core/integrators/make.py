@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
+from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.frame import Frame, FrameRenderer
 from elps_core.integrators.pssmlt import MetropolisFrames
 from elps_core.paths.roulette import RouletteRule
-from elps_core.paths.strategies import chosen
+from elps_core.paths.strategies import Strategies, chosen
+from elps_core.sampling.context import EYE_SHARE, LIGHT_SHARE, PixelWorth, guided
+from elps_core.sampling.direction import SCATTERING, Directions
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.settings import RenderSettings
@@ -25,23 +28,46 @@ class Frames(Protocol):
         ...
 
 
-def frames(scene: mi.Scene, sensor: mi.Sensor, lights: StartDensity, settings: RenderSettings) -> Frames:
+def frames(
+    scene: mi.Scene,
+    sensor: mi.Sensor,
+    lights: StartDensity,
+    settings: RenderSettings,
+    parts: DirectionalParts | None = None,
+) -> Frames:
     """What renders frames of one sensor by one of our own integrators.
+
+    ``parts`` are needed where directions or roulette go by context.
 
     Raises:
         SceneRejected: the sensor's type is not supported.
         SettingsRejected: no path can be made of the strategies.
     """
     camera = Camera(sensor)
+    strategies = chosen(settings, aperture=camera.has_aperture)
     bdpt = Bdpt(
         scene,
         camera,
         lights,
         max_depth=settings.max_depth,
         roulette=RouletteRule(settings.roulette, settings.rr_depth),
-        strategies=chosen(settings, aperture=camera.has_aperture),
+        strategies=strategies,
         heuristic=settings.heuristic,
+        directions=_directions(settings, strategies, parts),
+        thinning=settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1,
+        worth=PixelWorth(parts.pilot, camera.size) if parts and settings.roulette == "context" else None,
     )
     if settings.integrator == "pssmlt":
         return MetropolisFrames(bdpt, sensor.film(), settings.pssmlt)
     return FrameRenderer(bdpt, sensor.film())
+
+
+def _directions(settings: RenderSettings, strategies: Strategies, parts: DirectionalParts | None) -> Directions:
+    if parts is None:
+        return SCATTERING
+    by_table = settings.direction_sampling == "context"
+    return guided(
+        parts,
+        eye=(EYE_SHARE if by_table else 0.0) if strategies.eye_paths else None,
+        light=(LIGHT_SHARE if by_table else 0.0) if strategies.light_paths else None,
+    )

@@ -140,6 +140,7 @@ class Multiplexed:
             max_depth=vertices - 1,
             roulette=bdpt.roulette,
             heuristic=bdpt.heuristic,
+            directions=bdpt.directions,
             label=f"elps multiplexed {side} walk",
         )
 

@@ -13,12 +13,12 @@ import mitsuba as mi
 import numpy as np
 
 from elps_core.paths.mis import Heuristic, Partial, Ratios, Side
-from elps_core.paths.scattering import seen_by_eye, seen_by_light
 from elps_core.paths.strategies import Strategies
 from elps_core.paths.stream import Stream
 from elps_core.paths.surfaces import Surfaces
 from elps_core.paths.vertex import Vertex
 from elps_core.paths.walk import Walk
+from elps_core.sampling.direction import Directions
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, SensorSample
 
@@ -27,17 +27,30 @@ SHADOW = 1.0 - 1e-4
 
 
 class Connector:
-    """The ways in which one selection of strategies joins subpaths."""
+    """The ways in which one selection of strategies joins subpaths.
+
+    For ``thinning`` eye paths there is one light path: its strategies, s >= 2, count in all weights with a
+    density that is as much smaller.
+    """
 
     def __init__(
-        self, scene: mi.Scene, camera: Camera, lights: StartDensity, strategies: Strategies, heuristic: Heuristic
+        self,
+        scene: mi.Scene,
+        camera: Camera,
+        lights: StartDensity,
+        directions: Directions,
+        strategies: Strategies,
+        heuristic: Heuristic,
+        thinning: int = 1,
     ) -> None:
         self.scene = scene
         self.surfaces = Surfaces(scene)
         self.camera = camera
         self.lights = lights
+        self.directions = directions
         self.strategies = strategies
         self.heuristic = heuristic
+        self._fraction = 1.0 / thinning
         self._side = heuristic.length + 1
         if strategies.shown is not None:
             table = np.zeros((self._side, self._side), bool)
@@ -66,7 +79,7 @@ class Connector:
         pdf_start, index, cell = self.lights.pdf(emitter, vertex.si, active)
         infinite = ~vertex.si.is_valid() if emission.has_environment else mi.Bool(False)
         pdf_omega = emission.pdf_direction(index, mi.Bool(False), cosine, active, infinite=infinite)
-        eye = self._others(vertex.partial, pdf_start, pdf_omega, "eye", self.strategies.next_event)
+        eye = self._others(vertex.partial, pdf_start, pdf_omega * self._fraction, "eye", self.strategies.next_event)
         # Directly seen light has no other strategy.
         scale = dr.select(vertex.depth == 1, 1.0, self._weight([], eye))
         return dr.select(active, vertex.beta * value * scale, 0.0), cell
@@ -83,16 +96,16 @@ class Connector:
         wo = vertex.si.to_local(direction)
         active = active & self.surfaces.may_scatter(vertex.si, wo)
         active = active & ~self.surfaces.shadowed(vertex.si, target, active)
-        seen = seen_by_eye(vertex.si, wo, active)
-
         cos_eye = dr.abs(dr.dot(vertex.si.n, direction))
+        seen = self.directions.seen(vertex.si, wo, cos_eye, "eye", active)
         pdf_omega = start.pdf * distance2 / cos_light
         light: Ratios = []
         if self.strategies.emission:
             light = self.heuristic.single(dr.select(point.delta, 0.0, seen.pdf), pdf_omega, "light")
         pdf_direction = emission.pdf_direction(point.index, point.delta, cos_light, active, infinite=point.infinite)
         # Light paths start with the density of this very sample, so that it cancels in the ratio.
-        eye = self._others(vertex.partial, pdf_direction * cos_eye / distance2, seen.pdf_rev, "eye", False)
+        pdf_light = pdf_direction * cos_eye / distance2 * self._fraction
+        eye = self._others(vertex.partial, pdf_light, seen.pdf_rev, "eye", False)
         value = vertex.beta * seen.value * radiance * (self._weight(light, eye) / pdf_omega)
         return dr.select(active, value, 0.0), start
 
@@ -106,8 +119,8 @@ class Connector:
         active = active & self.surfaces.may_scatter(eye.si, wo_eye) & self.surfaces.may_scatter(light.si, wo_light)
         active = active & ~self.surfaces.shadowed(eye.si, light.si.p, active)
         cos_eye, cos_light = dr.abs(dr.dot(eye.si.n, direction)), dr.abs(dr.dot(light.si.n, direction))
-        at_eye = seen_by_eye(eye.si, wo_eye, active)
-        at_light = seen_by_light(light.si, wo_light, cos_light, active)
+        at_eye = self.directions.seen(eye.si, wo_eye, cos_eye, "eye", active)
+        at_light = self.directions.seen(light.si, wo_light, cos_light, "light", active)
         inv = dr.rcp(distance2)
         others = self.heuristic.others
         light_side = others(light.partial, at_eye.pdf * cos_light * inv, at_light.pdf_rev, "light")
@@ -127,7 +140,7 @@ class Connector:
         active = active & self.surfaces.may_scatter(vertex.si, wo)
         active = active & ~self._hidden(vertex.si.p, sample, active)
         cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
-        seen = seen_by_light(vertex.si, wo, cosine, active)
+        seen = self.directions.seen(vertex.si, wo, cosine, "light", active)
         light = self._others(vertex.partial, sample.pdf * cosine / sample.distance2, seen.pdf_rev, "light", False)
         eye: Ratios = []
         if self.strategies.aperture:

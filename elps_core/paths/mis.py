@@ -64,15 +64,19 @@ class Heuristic:
         """Numbers in :attr:`Partial.dvc`."""
         return self.length if self.kind == "cutoff" else 1
 
-    def start(self, pdf_point: mi.Float, cosine: mi.Float, pdf: mi.Float, side: Side) -> Partial:
+    def start(self, pdf_point: mi.Float, cosine: mi.Float, pdf: mi.Float, side: Side, fraction: float = 1.0) -> Partial:
         """At a subpath's first vertex, when its first direction was drawn with density ``pdf``.
 
         ``pdf_point`` is the density of the first vertex itself where the other subpath could find it
         by chance, infinite where it cannot (a pinhole, a point light). Lengths do not matter where
-        first segments are parallel: densities are then those of an area across the rays.
+        first segments are parallel: densities are then those of an area across the rays. ``fraction``
+        is the number of paths from this side for one from the other.
         """
-        before = Partial(self._power(dr.rcp(pdf_point)), [mi.Float(0.0)] * self.width)
-        return self.scatter(before, cosine, pdf, mi.Float(0.0), mi.Bool(False), side)
+        before = Partial(self._power(dr.rcp(pdf_point * fraction)), [mi.Float(0.0)] * self.width)
+        partial = self.scatter(before, cosine, pdf, mi.Float(0.0), mi.Bool(False), side)
+        # A first vertex that is drawn alone, as next event estimation does, is drawn for every other path.
+        partial.dvcm = partial.dvcm * self._power(mi.Float(1.0 / fraction))
+        return partial
 
     def arrive(self, partial: Partial, distance2: mi.Float, cos_in: mi.Float) -> Partial:
         """After a segment of squared length ``distance2``, hitting a surface under ``cos_in`` (geometric)."""

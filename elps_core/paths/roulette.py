@@ -13,6 +13,10 @@ MAX_SURVIVAL = 0.95
 """Mitsuba's upper limit of the survival probability: bounds walks in media that absorb nothing."""
 MIN_SURVIVAL = 0.05
 """Lower limit, so that a survivor's weight stays bounded."""
+GAIN = 6.0
+"""Paths worth less than 1 / GAIN of their pixel are thinned out by context."""
+LEAST_BY_CONTEXT = 0.1
+"""Lower limit by context."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +30,18 @@ class RouletteRule:
         """Probability to continue after a scattering event at ``depth``.
 
         ``throughput`` follows the path's weight times the squared index of refraction so far, as
-        Mitsuba's ``path`` does; ``albedo`` follows the local weight f |cos| / p [thesis 5.1.1].
+        Mitsuba's ``path`` does; ``albedo`` follows the local weight f |cos| / p [thesis 5.1.1]; ``context``
+        is as ``albedo`` where :meth:`by_worth` knows no better.
         """
         if self.kind == "none":
             return mi.Float(1.0)
         q = dr.max(beta * dr.square(eta)) if self.kind == "throughput" else dr.max(albedo)
         return dr.select(depth >= self.start, dr.clip(q, MIN_SURVIVAL, MAX_SURVIVAL), 1.0)
+
+    def by_worth(self, worth: mi.Float, known: mi.Bool, otherwise: mi.Float) -> mi.Float:
+        """Probability to continue where a path is ``known`` to be worth that share of its pixel [thesis 5.3.4].
+
+        A path is kept whole that is worth more than 1 / :data:`GAIN` of its pixel, and a tenth of the others at
+        least: tables may err. ``otherwise`` holds where nothing is known.
+        """
+        return dr.select(known, dr.clip(GAIN * worth, LEAST_BY_CONTEXT, 1.0), otherwise)

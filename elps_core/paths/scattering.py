@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from elps_core.paths.mis import Side
+
 STRAIGHT = 1e-8
 """Square of |wi + eta wo| below which a ray passes without being refracted, and tells of no normal."""
 
@@ -89,13 +91,7 @@ def sample_from_light(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         radiance = mi.BSDFContext(mi.TransportMode.Radiance)
         value, pdf_rev = bsdf.eval_pdf(radiance, _reversed(si, sample.wo), si.wi, active & ~delta)
-        # A Dirac event's weight is given for wi to wo: its own cosines are exchanged, those with the normal that
-        # the material bends to. It lies along wi + eta wo where light is refracted, and else they are equal.
-        bent = si.wi + sample.wo * sample.eta
-        refracted = mi.has_flag(sample.sampled_type, mi.BSDFFlags.DeltaTransmission)
-        refracted = refracted & (dr.squared_norm(bent) > STRAIGHT)
-        exchange = dr.select(refracted, dr.abs(dr.dot(bent, si.wi) / dr.dot(bent, sample.wo)), 1.0)
-        weight = dr.select(delta, specular * exchange, value / sample.pdf)
+        weight = dr.select(delta, specular * _exchange(si.wi, sample), value / sample.pdf)
         # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
         weight = dr.select(dr.max(specular) > 0.0, weight, 0.0)
         return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta)
@@ -103,6 +99,68 @@ def sample_from_light(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point
     found: Scattered = dr.dispatch(si.bsdf(), ask, si, u_lobe, u, active)
     found.weight = found.weight * (dr.abs(dr.dot(si.to_world(found.wo), si.n)) / _cos_in(si))
     return found
+
+
+def sample_mixed(
+    si: mi.SurfaceInteraction3f,
+    given: mi.Bool,
+    wo: mi.Vector3f,
+    u_lobe: mi.Float,
+    u: mi.Point2f,
+    side: Side,
+    active: mi.Bool,
+) -> Scattered:
+    """The next direction: ``wo`` where ``given``, else drawn by scattering.
+
+    Of a smooth event ``weight`` is f |cos| (for light paths the adjoint), not yet divided by whatever
+    density the caller has drawn with, and ``pdf`` that of scattering alone.
+    """
+    mode = mi.TransportMode.Radiance if side == "eye" else mi.TransportMode.Importance
+
+    def ask(
+        bsdf: mi.BSDF,
+        si: mi.SurfaceInteraction3f,
+        given: mi.Bool,
+        wo: mi.Vector3f,
+        u_lobe: mi.Float,
+        u: mi.Point2f,
+        active: mi.Bool,
+    ) -> Scattered:
+        context, radiance = mi.BSDFContext(mode), mi.BSDFContext(mi.TransportMode.Radiance)
+        sample, drawn = bsdf.sample(context, si, u_lobe, u, active & ~given)
+        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta) & ~given
+        wo = dr.select(given, wo, sample.wo)
+        smooth = active & ~delta
+        if side == "eye":
+            value, pdf = bsdf.eval_pdf(context, si, wo, smooth)
+            pdf_rev = bsdf.pdf(context, _reversed(si, wo), si.wi, smooth)
+        else:
+            value, pdf_rev = bsdf.eval_pdf(radiance, _reversed(si, wo), si.wi, smooth)
+            pdf = bsdf.pdf(context, si, wo, smooth)
+            drawn = dr.select(delta, drawn * _exchange(si.wi, sample), drawn)
+        weight = dr.select(delta, drawn, value)
+        # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
+        weight = dr.select(given | (dr.max(drawn) > 0.0), weight, 0.0)
+        return Scattered(wo, weight, dr.select(delta, sample.pdf, pdf), pdf_rev, sample.eta, delta)
+
+    event: Scattered = dr.dispatch(si.bsdf(), ask, si, given, wo, u_lobe, u, active)
+    # What a given direction passes through is not told; it matters for roulette by throughput only.
+    event.eta = dr.select(given, 1.0, event.eta)
+    if side == "light":
+        event.weight = event.weight * (dr.abs(dr.dot(si.to_world(event.wo), si.n)) / _cos_in(si))
+    return event
+
+
+def _exchange(wi: mi.Vector3f, sample: mi.BSDFSample3f) -> mi.Float:
+    """Ratio of the cosines of a Dirac event, whose weight is given for wi to wo.
+
+    They are those with the normal that the material bends to. It lies along wi + eta wo where light is refracted; else
+    they are equal.
+    """
+    bent = wi + sample.wo * sample.eta
+    refracted = mi.has_flag(sample.sampled_type, mi.BSDFFlags.DeltaTransmission)
+    refracted = refracted & (dr.squared_norm(bent) > STRAIGHT)
+    return dr.select(refracted, dr.abs(dr.dot(bent, wi) / dr.dot(bent, sample.wo)), 1.0)
 
 
 def _reversed(si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.SurfaceInteraction3f:

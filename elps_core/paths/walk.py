@@ -11,9 +11,10 @@ import mitsuba as mi
 
 from elps_core.paths.mis import Heuristic, Partial, Side
 from elps_core.paths.roulette import RouletteRule
-from elps_core.paths.scattering import sample_from_eye, sample_from_light
+from elps_core.paths.scattering import Scattered
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
+from elps_core.sampling.direction import SCATTERING, Directions
 
 State = TypeVar("State")
 Visit: TypeAlias = "Callable[[Walk, Vertex, State, mi.Bool], State]"
@@ -21,6 +22,9 @@ Visit: TypeAlias = "Callable[[Walk, Vertex, State, mi.Bool], State]"
 vertex at its end, the caller's own state, and which lanes stand at a surface vertex; lanes that are
 active in the walk and not there have left the scene, and the vertex tells in which direction. Returns
 the new state. Runs inside the loop's kernel."""
+Leave: TypeAlias = "Callable[[Walk, Vertex, Scattered, State, mi.Bool], State]"
+"""Called when a direction has been chosen, with the walk that will take it, the vertex that it leaves, the event,
+the caller's state, and which lanes go on. Returns the new state."""
 
 
 @dataclass
@@ -34,6 +38,7 @@ class Walk:
     depth: mi.UInt32  # Segments traced so far
     offset: mi.Float  # Distance from the subpath's true start to the ray's origin (near clip)
     parallel: mi.Bool  # Whether the first segment is one of parallel rays, so that its length does not count
+    worth: mi.Float  # What a unit of luminance is worth where the path will count, for roulette by context
     stream: Stream
     active: mi.Bool
 
@@ -49,6 +54,8 @@ def random_walk(
     roulette: RouletteRule,
     heuristic: Heuristic,
     label: str,
+    directions: Directions = SCATTERING,
+    leave: Leave[State] | None = None,
 ) -> State:
     """Walk from ``start`` over at most ``max_depth`` segments, calling ``visit`` after each.
 
@@ -75,8 +82,7 @@ def random_walk(
         vertex, state, active = extend(walk, state)
         si = vertex.si
         active = active & (vertex.depth < max_depth)
-        draw = sample_from_light if side == "light" else sample_from_eye
-        event = draw(si, walk.stream.next_1d(), walk.stream.next_2d(), active)
+        event = directions.sample(si, walk.stream, side, active)
         direction = si.to_world(event.wo)
         cos_out = dr.abs(dr.dot(si.n, direction))
         beta = vertex.beta * event.weight
@@ -84,22 +90,26 @@ def random_walk(
         active = active & ((event.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0))
 
         survival = roulette.survival(beta, eta, event.weight, vertex.depth)
+        if roulette.kind == "context":
+            value, known = directions.expected(si, direction, cos_out, beta, side, active)
+            survival = roulette.by_worth(value * walk.worth, known, survival)
         if roulette.kind != "none":
             active = active & (walk.stream.next_1d() < survival)
-        return (
-            Walk(
-                ray=si.spawn_ray(direction),
-                beta=beta / survival,
-                partial=heuristic.scatter(vertex.partial, cos_out, event.pdf, event.pdf_rev, event.delta, side),
-                eta=eta,
-                depth=vertex.depth,
-                offset=mi.Float(0.0),
-                parallel=mi.Bool(False),
-                stream=walk.stream,
-                active=active,
-            ),
-            state,
+        after = Walk(
+            ray=si.spawn_ray(direction),
+            beta=beta / survival,
+            partial=heuristic.scatter(vertex.partial, cos_out, event.pdf, event.pdf_rev, event.delta, side),
+            eta=eta,
+            depth=vertex.depth,
+            offset=mi.Float(0.0),
+            parallel=mi.Bool(False),
+            worth=walk.worth,
+            stream=walk.stream,
+            active=active,
         )
+        if leave:
+            state = leave(after, vertex, event, state, active)
+        return after, state
 
     _, state = dr.while_loop((start, state), lambda walk, _: walk.active, body, label=label)
     return state

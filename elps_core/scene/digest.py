@@ -16,9 +16,9 @@ from elps_core.settings import DEPTH_BASELINES, ContextSettings, RenderSettings
 
 SCENE_FORMAT = 1
 """Counts changes of the canonical text."""
-CONTEXT_FORMAT = 2
+CONTEXT_FORMAT = 3
 """Counts changes of a global context's content or file format."""
-RENDER_FORMAT = 2
+RENDER_FORMAT = 3
 """Counts changes of the algorithms that change the image of given settings."""
 
 
@@ -72,11 +72,11 @@ def _read_by_integrator(settings: RenderSettings) -> dict[str, Any]:
         fields |= {"max_depth", "roulette"}
     if settings.samples_lights:
         fields |= {"light_sampling", "heuristic"}
-    if settings.needs_context:
-        fields.add("context")
     if "roulette" in fields and settings.roulette != "none":
         fields.add("rr_depth")
     values = settings.model_dump(mode="json", include=fields)
+    if settings.needs_context:
+        values["context"] = settings.measured.model_dump(mode="json")
     if settings.is_baseline and "rr_depth" in fields:
         values["roulette"] = "throughput"  # the only kind that Mitsuba has
     return values

@@ -16,6 +16,7 @@ SUPPORTED = {"PerspectiveCamera": "perspective", "ThinLensCamera": "thinlens", "
 class PrimaryRay:
     """A ray from the film into the scene."""
 
+    position: mi.Point2f  # On the film, pixels relative to the crop window
     ray: mi.Ray3f
     weight: mi.Spectrum  # Of its wavelengths
     pdf: mi.Float  # Solid-angle density of the direction given the aperture point; area density of parallel rays
@@ -81,7 +82,7 @@ class Camera:
             self.sensor.shutter_open(), u_wavelength, position * self._scale, u_aperture
         )
         cosine = dr.dot(ray.d, self.axis)
-        return PrimaryRay(ray, weight, self._pdf(cosine), cosine, self.near_clip / cosine)
+        return PrimaryRay(position, ray, weight, self._pdf(cosine), cosine, self.near_clip / cosine)
 
     @property
     def pdf_aperture(self) -> mi.Float:

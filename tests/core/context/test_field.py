@@ -37,8 +37,9 @@ def row_of_regions(count: int) -> Any:
 
 def field_of(tables: DirectionalTables) -> Any:
     from elps_core.context.field import DirectionalField
+    from elps_core.context.lookup import RegionLookup
 
-    return DirectionalField(row_of_regions(len(tables.values)), tables)
+    return DirectionalField(RegionLookup(row_of_regions(len(tables.values))), tables)
 
 
 def kinds(grid: tuple[int, int]) -> Array:
@@ -258,10 +259,11 @@ def test_a_context_of_the_largest_size_fits_into_memory() -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     from elps_core.context.field import DirectionalField
+    from elps_core.context.lookup import RegionLookup
 
     field = field_of(tables(kinds((5, 7))))
     assert field.nbytes > 0
     with pytest.raises(ValueError, match="rows and columns"):
         field_of(tables(np.ones((1, 1025, 2))))
     with pytest.raises(ContextMismatch, match="other regions"):
-        DirectionalField(row_of_regions(1), tables(kinds((5, 7))))
+        DirectionalField(RegionLookup(row_of_regions(1)), tables(kinds((5, 7))))

@@ -141,12 +141,13 @@ def test_mean_distance_never_rises(surfaces: Any, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(clustering, "LEAST_GAIN", 0.0)
     monkeypatch.setattr(clustering, "MAX_ITERATIONS", 25)
     points = PointSet(*surfaces(10_000), 1.0)
-    centres, normals, history = clustering.k_means(points, 200, np.random.default_rng(3))
+    means = clustering.k_means(points, 200, 3)
+    history = means.history
     assert len(history) > 10
     assert (np.diff(history) <= 1e-7).all()
     assert history[-1] < 0.85 * history[0]
-    assert points.nearest(centres, normals)[1].mean() == pytest.approx(history[-1], rel=1e-5)
-    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0, abs=1e-5)
+    assert points.nearest(means.centres, means.normals)[1].mean() == pytest.approx(history[-1], rel=1e-5)
+    assert np.linalg.norm(means.normals, axis=1) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_seeds_decide() -> None:
@@ -156,6 +157,34 @@ def test_seeds_decide() -> None:
     first, again, other = (build_regions(position, normal, 100, seed).arrays() for seed in (1, 1, 2))
     assert all(np.array_equal(first[name], again[name]) for name in first)
     assert not np.array_equal(first["centres"], other["centres"])
+
+
+def sparse(n: int) -> tuple[Array, Array]:
+    """Most points of a room at one place: initial centres that find no points, in several iterations."""
+    position, normal = room(n)
+    position[n // 8 :], normal[n // 8 :] = position[0], normal[0]
+    return position, normal
+
+
+@pytest.mark.parametrize("surfaces", [curved, sparse])
+def test_interruptions_change_nothing(surfaces: Any) -> None:
+    from elps_core.context.clustering import MAX_ITERATIONS, Clustering, build_regions
+
+    position, normal = surfaces(4000)
+    wanted = build_regions(position, normal, 300, 7).arrays()
+    clustering, steps = Clustering(position, normal, 300, 7), 0
+    while not clustering.finished:
+        with pytest.raises(RuntimeError, match="steps"):
+            clustering.result()
+        clustering = Clustering.from_arrays(load_tensors(save_tensors(clustering.arrays())))
+        clustering.step()
+        steps += 1
+    assert 3 < steps <= MAX_ITERATIONS + 2
+    clustering.step()  # None is left
+    again = Clustering.from_arrays(load_tensors(save_tensors(clustering.arrays())))
+    assert again.finished
+    for regions in (clustering.result(), again.result()):
+        assert all(np.array_equal(regions.arrays()[name], wanted[name]) for name in wanted)
 
 
 def test_size_of_the_scene_does_not_matter() -> None:
@@ -253,6 +282,8 @@ def test_opposite_normals_that_cancel_keep_a_direction() -> None:
         ({"position": np.zeros((10, 2)), "normal": np.zeros((10, 2))}, "arrays"),
         ({"count": 0}, "between"),
         ({"count": 1 << 17}, "between"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 1 << 64}, "seed"),
         ({"alpha": 0.0}, "alpha"),
         ({"alpha": np.inf}, "alpha"),
     ],
@@ -333,3 +364,48 @@ def test_damaged_arrays_are_refused(regions: Regions, name: str, change: Any) ->
         Regions.from_arrays({**arrays, name: change(arrays[name])})
     with pytest.raises(ContextMismatch, match="build it again"):
         Regions.from_arrays({key: array for key, array in arrays.items() if key != name})
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("position", lambda a: a[:-1]),
+        ("position", lambda a: a.astype(np.float64)),
+        ("normal", lambda a: _with(a, np.nan)),
+        ("normal", lambda a: 2 * a),
+        ("alpha", lambda a: -a),
+        ("alpha", lambda a: a[:0]),
+        ("seed", lambda a: a[:0]),
+        ("centres", lambda a: a[:0]),
+        ("centres", lambda a: _with(a, np.inf)),
+        ("centres", lambda a: a.astype(np.float64)),
+        ("normals", lambda a: a[:-1]),
+        ("normals", lambda a: 0 * a),
+        ("history", lambda a: _with(a, np.nan)),
+        ("history", lambda a: np.repeat(a, 100)),
+        ("history", lambda a: a[None]),
+        ("cells", lambda a: _with(a, 60)),
+        ("bricks", lambda a: a[:0]),
+    ],
+)
+def test_damaged_checkpoints_are_refused(finished: dict[str, Array], name: str, change: Any) -> None:
+    from elps_core.context.clustering import Clustering
+
+    with pytest.raises(ContextMismatch, match="again"):
+        Clustering.from_arrays({**finished, name: change(finished[name])})
+    if name != "cells":  # Without them the table is still to be made.
+        with pytest.raises(ContextMismatch, match="again"):
+            Clustering.from_arrays({key: array for key, array in finished.items() if key != name})
+
+
+@pytest.fixture(scope="module")
+def finished() -> dict[str, Array]:
+    from elps_core import device
+
+    device.use("llvm_ad_rgb")
+    from elps_core.context.clustering import Clustering
+
+    clustering = Clustering(*room(4000), 60, 0)
+    while not clustering.finished:
+        clustering.step()
+    return clustering.arrays()

@@ -1,0 +1,48 @@
+"""What a render takes from the directional part of a global context."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from elps_core.context.field import DirectionalField
+from elps_core.context.lookup import RegionLookup
+from elps_core.context.store import DirectionalParts
+from elps_core.sampling.direction import Guide, GuidedDirections
+
+EYE_SHARE, LIGHT_SHARE = 0.5, 0.5
+"""Chance of a direction from the table, of eye and of light paths [thesis 5.3.3]."""
+DARKEST = 1e-3
+"""Least estimate of a pixel relative to the mean: what no pilot sample has found is not nothing."""
+
+
+def guided(parts: DirectionalParts, *, eye: float | None, light: float | None) -> GuidedDirections:
+    """Directions by the tables of ``parts`` with a chance of ``eye`` and ``light``.
+
+    With a chance of 0 tables serve roulette only; without one they are not loaded.
+    """
+    lookup = RegionLookup(parts.regions)
+    return GuidedDirections(
+        lookup,
+        None if eye is None else Guide(DirectionalField(lookup, parts.radiance), eye),
+        None if light is None else Guide(DirectionalField(lookup, parts.importance), light),
+    )
+
+
+class PixelWorth:
+    """What a unit of luminance is worth at a film position: 1 / the pilot's estimate there."""
+
+    def __init__(self, pilot: NDArray[np.float32], size: mi.ScalarVector2u) -> None:
+        height, width = pilot.shape
+        floor = DARKEST * float(pilot.mean()) or 1.0
+        self._worth = mi.Float(1.0 / np.maximum(np.asarray(pilot, np.float32), floor).ravel())
+        self._width = dr.opaque(mi.UInt32, width)
+        self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
+        self._scale = dr.opaque(mi.Point2f, [width / int(size.x), height / int(size.y)])
+
+    def __call__(self, position: mi.Point2f) -> mi.Float:
+        """At film positions in pixels relative to the crop window."""
+        pixel = dr.minimum(mi.Point2u(dr.maximum(position * self._scale, 0.0)), self._last)
+        return dr.gather(mi.Float, self._worth, pixel.y * self._width + pixel.x)

@@ -1,0 +1,169 @@
+"""Outgoing directions: by scattering alone, or mixed with what the context knows of light and sensor [thesis 5.3.3].
+
+An eye path goes where radiance comes from, a light path where importance comes from: with a fixed chance
+a direction is drawn from the table of the region, else from the material. Both paths evaluate the
+densities of both mixtures, because each enters the other's weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from elps_core.context.field import DirectionalField
+from elps_core.context.lookup import RegionLookup
+from elps_core.paths.mis import Side
+from elps_core.paths.scattering import (
+    Scattered,
+    Scattering,
+    sample_from_eye,
+    sample_from_light,
+    sample_mixed,
+    seen_by_eye,
+    seen_by_light,
+)
+from elps_core.paths.stream import Stream
+from elps_core.scene.spectrum import luminance
+
+ENOUGH = 64
+"""Records from which on a region's table is taken to know what a path can expect."""
+
+MEAN_SHARE = 0.5
+"""Part of what a path can expect that is the region's mean radiance, whatever the direction: tables do not know of
+every caustic, and paths that are thinned out before they find one become fireflies."""
+
+
+class Directions:
+    """Directions by scattering alone."""
+
+    def seen(
+        self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float, side: Side, active: mi.Bool
+    ) -> Scattering:
+        """Smooth scattering from ``si.wi`` into ``wo`` (local) at a vertex of the path on ``side``.
+
+        ``cos_out`` is |wo n|, n the geometric normal. ``pdf`` is the density with which this path would
+        draw ``wo``, ``pdf_rev`` that with which a path from the other side would draw ``si.wi``.
+        """
+        return seen_by_eye(si, wo, active) if side == "eye" else seen_by_light(si, wo, cos_out, active)
+
+    def sample(self, si: mi.SurfaceInteraction3f, stream: Stream, side: Side, active: mi.Bool) -> Scattered:
+        """Draw a direction by three numbers of ``stream``."""
+        draw = sample_from_eye if side == "eye" else sample_from_light
+        return draw(si, stream.next_1d(), stream.next_2d(), active)
+
+    def expected(
+        self,
+        si: mi.SurfaceInteraction3f,  # noqa: ARG002
+        direction: mi.Vector3f,  # noqa: ARG002
+        cos_out: mi.Float,  # noqa: ARG002
+        beta: mi.Spectrum,  # noqa: ARG002
+        side: Side,  # noqa: ARG002
+        active: mi.Bool,  # noqa: ARG002
+    ) -> tuple[mi.Float, mi.Bool]:
+        """What a path is expected to give to its pixel that goes on into ``direction`` with throughput
+        ``beta``, and where that is known."""
+        return mi.Float(1.0), mi.Bool(False)
+
+
+SCATTERING = Directions()
+
+
+@dataclass(frozen=True)
+class Guide:
+    """What one kind of path is guided by."""
+
+    field: DirectionalField
+    share: float
+    """Chance of a direction from the table, where the material scatters at all; 0: the table serves roulette."""
+
+
+class GuidedDirections(Directions):
+    """Mixtures of scattering and tables; a kind of path without a guide keeps to scattering."""
+
+    def __init__(self, lookup: RegionLookup, eye: Guide | None, light: Guide | None) -> None:
+        self.lookup = lookup
+        self._guides: dict[Side, Guide | None] = {"eye": eye, "light": light}
+        self._shares: dict[Side, mi.Float] = {
+            side: dr.opaque(mi.Float, guide.share)
+            for side, guide in self._guides.items()
+            if guide and guide.share > 0.0
+        }
+
+    def seen(
+        self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float, side: Side, active: mi.Bool
+    ) -> Scattering:
+        """As of :class:`Directions`, with the densities of the mixtures."""
+        event = super().seen(si, wo, cos_out, side, active)
+        # Only asked where the material scatters: every vertex that is joined does.
+        event.pdf = self._mixed(event.pdf, si, si.wi, wo, side, mi.Bool(True), active)
+        event.pdf_rev = self._mixed(event.pdf_rev, si, wo, si.wi, _other(side), mi.Bool(True), active)
+        return event
+
+    def sample(self, si: mi.SurfaceInteraction3f, stream: Stream, side: Side, active: mi.Bool) -> Scattered:
+        """As of :class:`Directions`: by table or by scattering, and weighted by the density of both together."""
+        smooth = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
+        guide = self._guides[side]
+        if guide is None or side not in self._shares:
+            event = super().sample(si, stream, side, active)
+        else:
+            u_lobe, u = stream.next_1d(), stream.next_2d()
+            share = dr.select(smooth, self._shares[side], 0.0)
+            by_table = active & (u_lobe < share)
+            # What is left of the number chooses the lobe.
+            u_lobe = dr.clip((u_lobe - share) / (1.0 - share), 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
+            direction, _ = guide.field.sample(self.region(si, si.wi, by_table), u, by_table)
+            event = sample_mixed(si, by_table, si.to_local(direction), u_lobe, u, side, active)
+            pdf = self._mixed(event.pdf, si, si.wi, event.wo, side, smooth, active & ~event.delta)
+            event.weight = dr.select(event.delta, event.weight / (1.0 - share), event.weight / pdf)
+            event.weight = dr.select(event.delta | (pdf > 0.0), event.weight, 0.0)
+            event.pdf = dr.select(event.delta, event.pdf, pdf)
+        reverse = active & ~event.delta
+        event.pdf_rev = self._mixed(event.pdf_rev, si, event.wo, si.wi, _other(side), smooth, reverse)
+        return event
+
+    def expected(
+        self,
+        si: mi.SurfaceInteraction3f,
+        direction: mi.Vector3f,
+        cos_out: mi.Float,
+        beta: mi.Spectrum,
+        side: Side,
+        active: mi.Bool,
+    ) -> tuple[mi.Float, mi.Bool]:
+        """By the region's table, where it rests on :data:`ENOUGH` records."""
+        guide = self._guides[side]
+        if guide is None:
+            return super().expected(si, direction, cos_out, beta, side, active)
+        region = self.region(si, si.wi, active)
+        by_direction = guide.field.pdf(region, direction, active) / cos_out
+        mean = dr.lerp(by_direction, dr.inv_pi, MEAN_SHARE)
+        incident = guide.field.irradiance(region, active) * mean
+        value = luminance(mi.UnpolarizedSpectrum(beta), si.wavelengths) * incident
+        return value, active & (guide.field.evidence(region, active) >= ENOUGH)
+
+    def region(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:
+        """Region of a surface point as a path sees it that comes from ``wi`` (local)."""
+        return self.lookup(si.p, dr.mulsign(mi.Vector3f(si.sh_frame.n), mi.Frame3f.cos_theta(wi)), active)
+
+    def _mixed(
+        self,
+        pdf: mi.Float,
+        si: mi.SurfaceInteraction3f,
+        wi: mi.Vector3f,
+        wo: mi.Vector3f,
+        side: Side,
+        smooth: mi.Bool,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Density with which a path on ``side`` that comes from ``wi`` draws ``wo``, ``pdf`` that of scattering."""
+        guide = self._guides[side]
+        if guide is None or side not in self._shares:
+            return pdf
+        by_table = guide.field.pdf(self.region(si, wi, active), si.to_world(wo), active)
+        return dr.select(smooth, dr.lerp(pdf, by_table, self._shares[side]), pdf)
+
+
+def _other(side: Side) -> Side:
+    return "light" if side == "eye" else "eye"

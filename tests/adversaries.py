@@ -1,0 +1,45 @@
+"""Contexts that are wrong in every way: they may cost samples, and must not move an image."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+
+from elps_core.context.encoding import DirectionalTables
+from elps_core.context.store import DirectionalParts
+
+Array = np.ndarray[Any, Any]
+Kind = Literal["random", "spiked", "empty", "foreign"]
+KINDS: tuple[Kind, ...] = ("random", "spiked", "empty", "foreign")
+REGIONS, GRID, PIXELS = 24, (8, 16), (6, 8)
+
+
+def parts(scene: Any, kind: Kind) -> DirectionalParts:
+    """Regions strewn over the scene's box (``foreign``: far beside it) with tables that know nothing of it."""
+    from elps_core.context.clustering import build_regions
+
+    rng = np.random.default_rng(KINDS.index(kind))
+    box = scene.bbox()
+    low, high = (np.array([float(x) for x in corner]) for corner in (box.min, box.max))
+    low, high = (np.clip(corner, -10.0, 10.0) for corner in (low, high))
+    position = low + rng.random((8 * REGIONS, 3)) * (high - low) + (100.0 if kind == "foreign" else 0.0)
+    normal = rng.normal(size=position.shape)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    regions = build_regions(position, normal, REGIONS, seed=1)
+    count = regions.count
+
+    def tables() -> DirectionalTables:
+        values = rng.random((count, *GRID)) ** 4
+        if kind == "spiked":
+            values = np.zeros((count, *GRID))
+            values[np.arange(count), rng.integers(GRID[0], size=count), rng.integers(GRID[1], size=count)] = 1.0
+        elif kind == "empty":
+            values[: count // 2] = 0.0
+        evidence = np.where(rng.random(count) < 0.3, 0, 1000)
+        return DirectionalTables.of(values, rng.random(count) ** 2, evidence).encoded("log8")
+
+    pilot = (rng.random(PIXELS) ** 2).astype(np.float32)
+    return DirectionalParts(
+        regions, tables(), tables(), pilot, np.zeros(PIXELS, np.uint16), np.zeros((2, 4, 4), np.float32)
+    )
