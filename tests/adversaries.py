@@ -18,6 +18,10 @@ REGIONS, GRID, PIXELS = 24, (8, 16), (6, 8)
 def parts(scene: Any, kind: Kind) -> DirectionalParts:
     """Regions strewn over the scene's box (``foreign``: far beside it) with tables that know nothing of it."""
     from elps_core.context.clustering import build_regions
+    from elps_core.sampling.lights import pieces
+    from elps_core.sampling.start import StartDensity
+    from elps_core.scene.emission import Emission
+    from tests.rendering import uneven_table
 
     rng = np.random.default_rng(KINDS.index(kind))
     box = scene.bbox()
@@ -39,7 +43,16 @@ def parts(scene: Any, kind: Kind) -> DirectionalParts:
         evidence = np.where(rng.random(count) < 0.3, 0, 1000)
         return DirectionalTables.of(values, rng.random(count) ** 2, evidence).encoded("log8")
 
+    emission = Emission(scene)
+    lights = rng.random((count, pieces(StartDensity(emission, uneven_table(emission))))) ** 3
     pilot = (rng.random(PIXELS) ** 2).astype(np.float32)
     return DirectionalParts(
-        regions, tables(), tables(), pilot, np.zeros(PIXELS, np.uint16), np.zeros((2, 4, 4), np.float32)
+        regions,
+        tables(),
+        tables(),
+        pilot,
+        0.8,
+        lights.astype(np.float32),
+        np.zeros(PIXELS, np.uint16),
+        np.zeros((2, 4, 4), np.float32),
     )

@@ -47,7 +47,8 @@ def sampler(
     """What renders independent images of a scene that ``mi.load_dict`` made, by its first sensor.
 
     ``algorithm`` is one of :data:`WAYS`, or ``mi_<name>`` for an integrator of Mitsuba without roulette.
-    ``parts`` guide directions and roulette by context. ``options`` are settings by their dotted names with two underscores for each dot (``bdpt__weighted=False``).
+    ``parts`` guide directions, lights and roulette by context. ``options`` are settings by their dotted names with two
+    underscores for each dot (``bdpt__weighted=False``).
     """
     if algorithm == NAIVE:
         return _naive(scene, max_depth, seed)
@@ -61,7 +62,7 @@ def sampler(
         "max_depth": max_depth,
         "light_sampling": "power",  # The table is given here: no context is looked for.
         "rr_depth": RR_DEPTH,
-        **({"direction_sampling": "context", "roulette": "context"} if parts else {}),
+        **({"direction_sampling": "context", "roulette": "context", "light_sampling": "adjoint"} if parts else {}),
         **WAYS[algorithm],
         **{name.replace("__", "."): value for name, value in options.items()},
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
@@ -112,16 +113,24 @@ class ContextBuilder:
         Raises:
             ContextMismatch: the state belongs to another grid.
         """
-        record = load_tensors(data)
-        batches = record["batches"]
+        try:
+            record = load_tensors(data)
+            batches, seconds = record["batches"], float(record["seconds"][0])
+        except (SafetensorError, KeyError, IndexError, ValueError):
+            raise ContextMismatch(UNFIT) from None
         grid = (self._adjoint.rows, self._adjoint.columns)
-        if batches.ndim != 3 or batches.shape[1:] != grid or len(batches) > adjoint.STEPS:
+        if (
+            batches.ndim != 3
+            or batches.shape[1:] != grid
+            or len(batches) > adjoint.STEPS
+            or batches.dtype != np.float64
+        ):
             raise ContextMismatch(UNFIT)
         if self._tables:
             prefix = "tables."
             kept = {name.removeprefix(prefix): part for name, part in record.items() if name.startswith(prefix)}
             self._tables.restore(kept)
-        self._adjoint.batches, self._seconds = batches, float(record["seconds"][0])
+        self._adjoint.batches, self._seconds = batches, seconds
 
 
 def start_density(context: GlobalContext, emission: Emission) -> StartDensity:

@@ -275,13 +275,17 @@ def finish(
 
 
 def _merged(estimates: list[Estimate]) -> Estimate:
-    """The mean of several estimates, each region's weighted by their precision there."""
+    """Shares are the mean of several estimates, each region's weighted by their precision there.
+
+    Irradiance is the greatest: photons underrate it where a region's area counts surfaces that no light
+    reaches, eye paths where they do not find the light, and paths that are ended because little is expected
+    become fireflies.
+    """
     if len(estimates) == 1:
         return estimates[0]
     precision = np.stack([estimate.precision for estimate in estimates])
-    parts = precision * _reciprocal(precision.sum(axis=0)) * [estimate.irradiance for estimate in estimates]
-    irradiance = parts.sum(axis=0)
-    parts = parts * _reciprocal(irradiance)
+    parts = precision * _reciprocal(precision.sum(axis=0))
+    irradiance = np.max([estimate.irradiance for estimate in estimates], axis=0)
     size = dr.width(estimates[0].shares)
     region = dr.arange(mi.UInt32, size) // (size // len(irradiance))
     shares = dr.zeros(mi.Float, size)

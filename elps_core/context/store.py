@@ -48,6 +48,10 @@ class DirectionalParts:
     """Incident importance times cosine, as a share of what the film's pixels receive."""
     pilot: NDArray[np.float32]
     """Estimate of the image [height, width], luminance, blurred, at a resolution of its own."""
+    noise: float
+    """Standard deviation of one guided path over the value of its pixel; the median of all pixels."""
+    lights: NDArray[np.float32]
+    """Which pieces of the emitters light a region straight [K, pieces]: see :mod:`elps_core.sampling.lights`."""
     view: NDArray[np.uint16]
     """Region that the middle of each of the pilot's pixels shows [height, width]; for eyes only."""
     density: NDArray[np.float32]
@@ -61,7 +65,15 @@ class DirectionalParts:
             "importance": self.importance.arrays(),
         }
         named = {f"{part}.{name}": array for part, owned in parts.items() for name, array in owned.items()}
-        return {**named, "pilot": self.pilot, "view": self.view, "density": self.density}
+        noise = np.array([self.noise], np.float32)
+        return {
+            **named,
+            "pilot": self.pilot,
+            "noise": noise,
+            "lights": self.lights,
+            "view": self.view,
+            "density": self.density,
+        }
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, NDArray[Any]]) -> DirectionalParts:
@@ -77,8 +89,9 @@ class DirectionalParts:
         regions = Regions.from_arrays(part("regions"))
         radiance, importance = (DirectionalTables.from_arrays(part(name)) for name in ("radiance", "importance"))
         try:
-            pilot, view, density = (arrays[name] for name in ("pilot", "view", "density"))
-        except KeyError:
+            pilot, lights, view, density = (arrays[name] for name in ("pilot", "lights", "view", "density"))
+            noise = float(arrays["noise"][0])
+        except (KeyError, IndexError):
             raise ContextMismatch("the tables of the context are damaged: build it again") from None
         if (
             pilot.ndim != 2
@@ -87,13 +100,16 @@ class DirectionalParts:
             or density.ndim != 3
             or density.shape != (2, density.shape[1], density.shape[1])
             or density.size == 0
-            or [pilot.dtype, view.dtype, density.dtype] != [np.float32, np.uint16, np.float32]
-            or not np.isfinite(pilot).all()
+            or [pilot.dtype, lights.dtype, view.dtype, density.dtype] != [np.float32, np.float32, np.uint16, np.float32]
+            or not 0.0 <= noise < np.inf
+            or lights.ndim != 2
+            or len(lights) != regions.count
+            or not all(np.isfinite(part).all() and (part >= 0.0).all() for part in (pilot, lights))
             or radiance.shape[0] != regions.count
             or importance.shape != radiance.shape
         ):
             raise ContextMismatch("the tables of the context are damaged: build it again")
-        return DirectionalParts(regions, radiance, importance, pilot, view, density)
+        return DirectionalParts(regions, radiance, importance, pilot, noise, lights, view, density)
 
 
 @dataclass(frozen=True)

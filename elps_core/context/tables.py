@@ -30,6 +30,7 @@ from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
 from elps_core.sampling.context import EYE_SHARE, PixelWorth
 from elps_core.sampling.direction import Guide, GuidedDirections
+from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
@@ -52,6 +53,8 @@ LANES = 1 << 17
 """Paths side by side."""
 UNROULETTED = 2
 """Steps of filling without roulette: what tables hold so far would end paths that have more to find."""
+LENT = 0.1
+"""Share of a region's table of lights that is its group's: what was not met there may be near."""
 LIGHT_PART = 4
 """Eye paths for one light path: photons tell what eye paths cannot find, and little else."""
 MOST_CHAINS, MUTATIONS = 32768, 16
@@ -95,7 +98,9 @@ class TableBuilder:
         self._areas: Doubles | None = None
         self._parents: NDArray[np.uint32] | None = None
         self._sources: dict[str, DirectionalAccumulator] = {}
+        self._lights: Doubles = np.zeros((0, 0))  # What light sampling found, by region and piece of the lights
         self._pilot: Doubles = np.zeros((2, *self._shape))  # Sum of luminances, and of paths
+        self._newest: Doubles = np.zeros((3, *self._shape))  # The same of the last step, and sum of squares
         self._density = np.zeros((2, DENSITY_SIDE, DENSITY_SIDE), np.float32)
 
     def step(self, lights: StartDensity) -> None:
@@ -131,16 +136,32 @@ class TableBuilder:
             radiance=self._finished("radiance", "photons").encoded(encoding),
             importance=self._finished("importance").encoded(encoding),
             pilot=self._pilot_image(),
+            noise=self._noise(),
+            lights=self._light_tables(),
             view=self._view(self.regions),
             density=self._density,
         )
 
-    def _finished(self, *names: str) -> DirectionalTables:
-        regions = self.regions
+    def _light_tables(self) -> NDArray[np.float32]:
+        """Shares of the lights' pieces in each region [K, pieces], drawn a little towards those of its group."""
+        if not self._lights.size:
+            return np.zeros((self.regions.count, 0), np.float32)
+        own = self._lights / np.maximum(self._lights.sum(axis=1, keepdims=True), 1e-30)
+        parents = self._groups()
+        group = np.zeros((int(parents.max()) + 1, own.shape[1]))
+        np.add.at(group, parents, own)
+        lent = group[parents] / np.maximum(group[parents].sum(axis=1, keepdims=True), 1e-30)
+        return np.asarray((1.0 - LENT) * own + LENT * lent, np.float32)
+
+    def _groups(self) -> NDArray[np.uint32]:
         if self._parents is None:
+            regions = self.regions
             self._parents = groups_of(regions, max(1, regions.count // REGIONS_PER_GROUP), self.settings.seed)
+        return self._parents
+
+    def _finished(self, *names: str) -> DirectionalTables:
         sources = [self._sources[name] for name in names if name in self._sources]
-        return finish(sources, self._parents, regions.normals)
+        return finish(sources, self._groups(), self.regions.normals)
 
     # -- Checkpoints -----------------------------------------------------------------------------
 
@@ -149,6 +170,8 @@ class TableBuilder:
         parts: Arrays = {
             "counts": np.array([self.done, self.paths, self.particles], np.int64),
             "pilot": self._pilot,
+            "newest": self._newest,
+            "lights": self._lights,
             "density": self._density,
         }
         if self._clustering is not None:
@@ -171,18 +194,38 @@ class TableBuilder:
 
         try:
             done, paths, particles = (int(n) for n in arrays["counts"])
-            pilot, density = arrays["pilot"], arrays["density"]
+            pilot, newest, density, lights = (arrays[name] for name in ("pilot", "newest", "density", "lights"))
         except (KeyError, ValueError):
             raise ContextMismatch(UNFIT) from None
-        if pilot.shape != self._pilot.shape or density.shape != self._density.shape or not 0 <= done <= self.steps:
+        saved = part("clustering")
+        clustering = Clustering.from_arrays(saved) if saved else None
+        areas = arrays.get("areas")
+        names = {name.partition(".")[0] for name in arrays} & set(SOURCES)
+        sources = {name: DirectionalAccumulator.from_arrays(part(name)) for name in sorted(names)}
+        found = clustering is not None and clustering.finished
+        count = clustering.result().count if clustering and found else 0
+        numbers = [pilot, newest, density, lights, *([] if areas is None else [areas])]
+        if (
+            not 0 <= done <= self.steps
+            or (done > 0) != (clustering is not None)
+            or (done > CLUSTER_STEPS and not found)
+            or (pilot.shape, density.shape) != (self._pilot.shape, self._density.shape)
+            or newest.shape != self._newest.shape
+            or (bool(sources) or areas is not None) != (done > 1 + CLUSTER_STEPS)
+            or (areas is not None and areas.shape != (count,))
+            or (lights.size > 0 and (lights.ndim != 2 or len(lights) != count))
+            or any((source.regions, source.map.cells) != (count, self._cells) for source in sources.values())
+            or not all(part.dtype.kind == "f" and np.isfinite(part).all() for part in numbers)
+        ):
             raise ContextMismatch(UNFIT)
         self.done, self.paths, self.particles = done, paths, particles
-        self._pilot, self._density = pilot.copy(), density.copy()
-        clustering = part("clustering")
-        self._clustering = Clustering.from_arrays(clustering) if clustering else None
-        self._areas = arrays.get("areas")
-        names = {name.partition(".")[0] for name in arrays} & set(SOURCES)
-        self._sources = {name: DirectionalAccumulator.from_arrays(part(name)) for name in sorted(names)}
+        self._pilot, self._density, self._lights = pilot.copy(), density.copy(), lights.copy()
+        self._newest = newest.copy()
+        self._clustering, self._areas, self._sources = clustering, areas, sources
+
+    @property
+    def _cells(self) -> int:
+        return self.settings.rows * self.settings.columns
 
     # -- Regions ---------------------------------------------------------------------------------
 
@@ -208,7 +251,8 @@ class TableBuilder:
             if not counts[kind]:
                 continue
             position, normal = (np.concatenate(part) for part in zip(*parts, strict=True))
-            keep = rng.permutation(len(position))[:wanted]
+            # Particles come in the order in which threads were done.
+            keep = np.lexsort(position.T)[rng.permutation(len(position))[:wanted]]
             chosen.append((position[keep], normal[keep]))
             self._density[kind] = self._from_above(position)
         position, normal = (np.concatenate(part) for part in zip(*chosen, strict=True))
@@ -249,7 +293,8 @@ class TableBuilder:
         finder = GuidedDirections(RegionLookup(regions), None, None)
         key = (self.settings.seed, STREAM, FILLING, number)
         if self._areas is None:
-            areas = region_areas(self.scene, finder, count, LINES, (self.settings.seed, STREAM, AREAS))
+            key_areas = (self.settings.seed, STREAM, AREAS)
+            areas = region_areas(self.scene, finder, count, LINES, key_areas, facing=regions.normals)
             # What no line has crossed is small, and not nothing.
             self._areas = np.maximum(areas, areas[areas > 0.0].min(initial=1e30))
         for name in SOURCES if self.settings.particles == "walks" else SOURCES[1:]:
@@ -271,11 +316,12 @@ class TableBuilder:
         key: tuple[int, ...],
     ) -> None:
         sources, size = self._sources, self.camera.size
+        self._newest = np.zeros_like(self._newest)
         importance, directions, worth = sources["importance"], finder, None
         if number:
             radiance = DirectionalField(finder.lookup, self._finished("radiance", "photons"))
             directions = GuidedDirections(finder.lookup, Guide(radiance, EYE_SHARE), None)
-            worth = PixelWorth(self._pilot_image(), size)
+            worth = PixelWorth(self._pilot_image(), self._noise(), size)
         else:  # What importance is worth is not known before there is a pilot.
             importance = DirectionalAccumulator(finder.lookup.count, self.settings.rows, self.settings.columns)
         bdpt = Bdpt(
@@ -288,7 +334,11 @@ class TableBuilder:
             directions=directions,
             worth=worth,
         )
+        self._newest = np.zeros_like(self._newest)
         recorder = WalkRecorder(bdpt, finder)
+        direct = mi.Float(self._lights.astype(np.float32).ravel())
+        if not dr.width(direct):
+            direct = dr.zeros(mi.Float, max(1, finder.lookup.count * pieces(lights)))
         passes = -(-paths // LANES)
         lanes = -(-paths // passes)
         # Two batches at least, so that noise is known.
@@ -296,7 +346,7 @@ class TableBuilder:
             here = lanes if passes > 1 else -(-lanes // 2)
             stream = Stream.of(here, *key, part, 0)
             place = stream.next_2d()
-            found = recorder.eye_paths(place * mi.Point2f(size), stream, sources["radiance"], importance)
+            found = recorder.eye_paths(place * mi.Point2f(size), stream, sources["radiance"], importance, direct)
             self._enter_pilot(place, found)
             sources["radiance"].close_batch()
             importance.close_batch(here * areas)
@@ -304,6 +354,8 @@ class TableBuilder:
             lit = max(1, here // LIGHT_PART)
             recorder.light_paths(lit, Stream.of(lit, *key, part, 1), sources["photons"])
             sources["photons"].close_batch(lit * areas)
+        if pieces(lights):
+            self._lights = np.array(direct, np.float64).reshape(finder.lookup.count, -1)
 
     def _collect(
         self, lights: StartDensity, finder: GuidedDirections, areas: Doubles, paths: int, key: tuple[int, ...]
@@ -312,7 +364,8 @@ class TableBuilder:
         for part in range(2):
             for particles in self._sampler(lights, max(1024, paths // 2), first_hits=False).run((*key, part)):
                 for kind, name in ((PHOTON, "photons"), (IMPORTON, "importance")):
-                    _enter(particles.of(kind), finder, self._sources[name])
+                    # Light that comes straight from a lamp is the business of light sampling.
+                    _enter(particles.of(kind), finder, self._sources[name], 2 if kind == PHOTON else 1)
             for name in ("photons", "importance"):
                 self._sources[name].close_batch(areas)
         if not self._pilot.any():
@@ -336,15 +389,25 @@ class TableBuilder:
         height, width = self._shape
         pixel = dr.minimum(mi.Point2u(place * mi.Point2f(width, height)), mi.Point2u(width - 1, height - 1))
         index = pixel.y * width + pixel.x
-        sums, counts = (dr.zeros(mi.Float, width * height) for _ in range(2))
-        dr.scatter_reduce(dr.ReduceOp.Add, sums, found, index, dr.isfinite(found))
-        dr.scatter_reduce(dr.ReduceOp.Add, counts, mi.Float(1.0), index)
-        dr.eval(sums, counts)
-        self._pilot += np.stack([np.array(part, np.float64).reshape(self._shape) for part in (sums, counts)])
+        found = dr.select(dr.isfinite(found), found, 0.0)
+        sums = [dr.zeros(mi.Float, width * height) for _ in range(3)]
+        for total, value in zip(sums, (found, mi.Float(1.0), dr.square(found)), strict=True):
+            dr.scatter_reduce(dr.ReduceOp.Add, total, value, index)
+        dr.eval(sums)
+        entered = np.stack([np.array(total, np.float64).reshape(self._shape) for total in sums])
+        self._pilot += entered[:2]
+        self._newest += entered
 
     def _pilot_image(self) -> NDArray[np.float32]:
         sums, counts = (_blurred(part) for part in self._pilot)
         return np.asarray(sums / np.maximum(counts, 1e-9), np.float32)
+
+    def _noise(self) -> float:
+        """Standard deviation of one path of the last step over the value of its pixel, the median of all pixels."""
+        mean, _, squares = self._newest / np.maximum(self._newest[1], 1.0)
+        lit = mean > 0.0
+        ratio = np.maximum(squares[lit] / np.square(mean[lit]) - 1.0, 0.0)
+        return float(np.sqrt(np.median(ratio))) if lit.any() else 0.0
 
     def _view(self, regions: Regions) -> NDArray[np.uint16]:
         """Region that the middle of each pixel of the pilot image shows."""
@@ -375,11 +438,13 @@ def _turned(particles: Particles) -> tuple[NDArray[np.float32], NDArray[np.float
     return arrays.position, np.where(behind, -arrays.normal, arrays.normal)
 
 
-def _enter(particles: Particles, finder: GuidedDirections, table: DirectionalAccumulator) -> None:
+def _enter(particles: Particles, finder: GuidedDirections, table: DirectionalAccumulator, first: int) -> None:
+    """Add particles of a depth of ``first`` or more."""
     if not len(particles):
         return
     side = dr.mulsign(mi.Vector3f(particles.normal), dr.dot(particles.normal, particles.direction))
-    table.add(finder.lookup(particles.position, side), particles.direction, particles.weight)
+    region = finder.lookup(particles.position, side)
+    table.add(region, particles.direction, particles.weight, particles.depth >= first)
     dr.eval(table.state)
 
 

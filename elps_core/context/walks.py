@@ -18,7 +18,9 @@ from elps_core.paths.scattering import Scattered
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
 from elps_core.paths.walk import Walk, random_walk
+from elps_core.sampling import lights as region_lights
 from elps_core.sampling.direction import GuidedDirections
+from elps_core.sampling.lights import NOWHERE
 from elps_core.scene.spectrum import luminance, sample_wavelengths
 
 
@@ -28,6 +30,7 @@ class _Eye:
 
     found: mi.Float  # Luminance so far
     records: mi.UInt32
+    region: mi.UInt32  # By which a light was chosen at the last vertex
 
 
 class WalkRecorder:
@@ -42,14 +45,21 @@ class WalkRecorder:
         self._regions = regions
 
     def eye_paths(
-        self, position: mi.Point2f, stream: Stream, radiance: DirectionalAccumulator, importance: DirectionalAccumulator
+        self,
+        position: mi.Point2f,
+        stream: Stream,
+        radiance: DirectionalAccumulator,
+        importance: DirectionalAccumulator,
+        lights: mi.Float,
     ) -> mi.Float:
         """One path per lane from ``position`` on the film; returns the luminance that each has found.
 
         Importance counts what a pixel is worth, and is left out at the first vertex: joining light paths to the
-        sensor covers that.
+        sensor covers that. What light sampling finds is added to ``lights`` [regions * pieces], per unit of throughput.
         """
         bdpt = self.bdpt
+        pieces = region_lights.pieces(bdpt.lights)
+        cells_per_piece = bdpt.lights.rows * bdpt.lights.columns // max(1, pieces)
         lanes = dr.width(position)
         primary = bdpt.primary(position, stream)
         wavelengths, scale = primary.ray.wavelengths, mi.UnpolarizedSpectrum(primary.weight)
@@ -60,29 +70,40 @@ class WalkRecorder:
             return luminance(mi.UnpolarizedSpectrum(value) * scale, wavelengths)
 
         def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
-            emitted, _ = bdpt.connector.hit_emitter(walk, vertex, active)
+            emitted, _ = bdpt.connector.hit_emitter(walk, vertex, eye.region, active)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
-            lit, _ = bdpt.connector.connect_light(vertex, walk.stream, smooth & (vertex.depth < bdpt.max_depth))
+            direct = smooth & (vertex.depth < bdpt.max_depth)
+            chosen_by = bdpt.connector.light_region(vertex.si, direct)
+            lit, start = bdpt.connector.connect_light(vertex, chosen_by, walk.stream, direct)
             region = self._regions.region(vertex.si, vertex.si.wi, smooth)
             worth = bright(vertex.beta) * walk.worth
             importance.add(region, vertex.si.to_world(vertex.si.wi), worth, smooth & (vertex.depth > 1))
-            return _Eye(eye.found + bright(emitted + lit), eye.records)
+            if pieces:
+                piece = start.cell // cells_per_piece
+                amount = bright(lit) / bright(vertex.beta)
+                some = direct & dr.isfinite(amount) & (amount > 0.0)
+                dr.scatter_reduce(dr.ReduceOp.Add, lights, amount, region * pieces + piece, some)
+            return _Eye(eye.found + bright(emitted + lit), eye.records, chosen_by)
 
         def leave(walk: Walk, vertex: Vertex, event: Scattered, eye: _Eye, active: mi.Bool) -> _Eye:
-            keep = active & ~event.delta
+            # Where the walk ends it has found nothing: that is a record, too.
+            keep = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            goes_on = keep & walk.active & ~event.delta
             region = self._regions.region(vertex.si, vertex.si.wi, keep)
-            # What the walk finds from here on, over its throughput, is the radiance that comes from there.
-            factor = dr.abs(dr.dot(vertex.si.n, walk.ray.d)) / (event.pdf * bright(walk.beta))
+            # What the walk finds from here on, over its throughput, is the radiance that comes from there. That it has
+            # survived roulette is part of what it finds.
+            factor = dr.abs(dr.dot(vertex.si.n, walk.ray.d)) / (event.pdf * bright(vertex.beta * event.weight))
+            factor = dr.select(goes_on, factor, 0.0)
             index = eye.records * stride + lane
             dr.scatter(where, mi.Vector4f(*walk.ray.d, dr.reinterpret_array(mi.Float, region)), index, keep)
             dr.scatter(what, mi.Vector2f(factor, eye.found), index, keep)
-            return _Eye(eye.found, eye.records + dr.select(keep, mi.UInt32(1), mi.UInt32(0)))
+            return _Eye(eye.found, eye.records + dr.select(keep, mi.UInt32(1), mi.UInt32(0)), eye.region)
 
         eye = random_walk(
             bdpt.scene,
             bdpt.eye_start(primary, stream),
             visit,
-            _Eye(dr.zeros(mi.Float, lanes), dr.zeros(mi.UInt32, lanes)),
+            _Eye(dr.zeros(mi.Float, lanes), dr.zeros(mi.UInt32, lanes), dr.full(mi.UInt32, NOWHERE, lanes)),
             side="eye",
             max_depth=bdpt.max_depth,
             roulette=bdpt.roulette,
@@ -91,7 +112,7 @@ class WalkRecorder:
             label="elps training",
             leave=leave,
         )
-        dr.eval(eye, where, what, importance.state)
+        dr.eval(eye, where, what, importance.state, lights)
         number = dr.arange(mi.UInt32, bdpt.max_depth * lanes)
         slot = number // stride
         of = number - slot * stride

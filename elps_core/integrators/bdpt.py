@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -24,6 +24,7 @@ from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex, VertexStore
 from elps_core.paths.walk import Walk, random_walk
 from elps_core.sampling.direction import SCATTERING, Directions
+from elps_core.sampling.lights import NOWHERE, RegionLights
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, PrimaryRay, SensorSample
 from elps_core.settings import HeuristicKind
@@ -32,8 +33,17 @@ Splat: TypeAlias = "Callable[[mi.Point2f, mi.Spectrum, mi.Spectrum, mi.Bool], No
 """Adds a light path's contribution at a film position, pixels relative to the crop window."""
 Deposit: TypeAlias = "Callable[[mi.UInt32, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
 """Adds a contribution to the adjoint image, at the cell where the light vertex lies."""
-Worth: TypeAlias = "Callable[[mi.Point2f], mi.Float]"
-"""What a unit of luminance is worth at a film position, pixels relative to the crop window."""
+
+
+class Worth(Protocol):
+    """What a unit of luminance is worth, for roulette by context."""
+
+    gain: float
+    """Of light paths, whose importance counts what pixels are worth."""
+
+    def __call__(self, position: mi.Point2f) -> mi.Float:
+        """At a film position, pixels relative to the crop window."""
+        ...
 
 
 @dataclass
@@ -41,6 +51,7 @@ class _Eye:
     """What the eye walk carries besides its own state."""
 
     radiance: mi.Spectrum
+    region: mi.UInt32  # By which a light was chosen at the last vertex
 
 
 @dataclass
@@ -72,6 +83,7 @@ class Bdpt:
         directions: Directions = SCATTERING,
         worth: Worth | None = None,
         thinning: int = 1,
+        region_lights: RegionLights | None = None,
     ) -> None:
         self.scene = scene
         self.camera = camera
@@ -84,7 +96,10 @@ class Bdpt:
         self.directions = directions
         self.worth = worth
         self.thinning = thinning
-        self.connector = Connector(scene, camera, lights, self.directions, self.strategies, self.heuristic, thinning)
+        self.region_lights = region_lights
+        self.connector = Connector(
+            scene, camera, lights, self.directions, self.strategies, self.heuristic, thinning, region_lights
+        )
         self.slots = max(0, max_depth - 2) if self.strategies.joins else 0
         """Light vertices stored per lane: deeper ones can only be joined to the sensor."""
 
@@ -101,6 +116,7 @@ class Bdpt:
             directions=self.directions,
             worth=self.worth,
             thinning=self.thinning,
+            region_lights=self.region_lights,
         )
 
     def trace(
@@ -134,20 +150,21 @@ class Bdpt:
         lane = dr.arange(mi.UInt32, lanes)
 
         def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
-            emitted, hit_cell = connector.hit_emitter(walk, vertex, active)
+            emitted, hit_cell = connector.hit_emitter(walk, vertex, eye.region, active)
             if deposit:
                 deposit(hit_cell, emitted, wavelengths, walk.active)
             radiance = eye.radiance + emitted
             if not self.strategies.next_event or self.max_depth == 1:
-                return _Eye(radiance)
+                return _Eye(radiance, eye.region)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             direct = smooth & (vertex.depth < self.max_depth)
-            lit, start = connector.connect_light(vertex, walk.stream, direct)
+            region = connector.light_region(vertex.si, direct)
+            lit, start = connector.connect_light(vertex, region, walk.stream, direct)
             if deposit:
                 deposit(start.cell, lit, wavelengths, direct)
             radiance = radiance + lit
             if stored_depth == 0:
-                return _Eye(radiance)
+                return _Eye(radiance, region)
 
             count = dr.gather(mi.UInt32, store.count, lane, smooth)
 
@@ -162,13 +179,13 @@ class Bdpt:
 
             start_state = (dr.zeros(mi.UInt32, lanes), radiance, smooth & (count > 0))
             _, radiance, _ = dr.while_loop(start_state, lambda _s, _t, more: more, join, label="elps connect")
-            return _Eye(radiance)
+            return _Eye(radiance, region)
 
         eye = random_walk(
             self.scene,
             self.eye_start(primary, eye_stream),
             visit,
-            _Eye(dr.zeros(mi.Spectrum, lanes)),
+            _Eye(dr.zeros(mi.Spectrum, lanes), dr.full(mi.UInt32, NOWHERE, lanes)),
             side="eye",
             max_depth=self.max_depth if self.strategies.eye_paths else 1,
             roulette=self.roulette,
@@ -217,7 +234,7 @@ class Bdpt:
             depth=dr.zeros(mi.UInt32, lanes),
             offset=dr.zeros(mi.Float, lanes),
             parallel=point.infinite & dr.full(mi.Bool, True, lanes),
-            worth=dr.ones(mi.Float, lanes),
+            worth=dr.ones(mi.Float, lanes) * (self.worth.gain if self.worth else 1.0),
             stream=stream,
             active=(pdf > 0.0) & (dr.max(radiance) > 0.0),
         )
@@ -247,6 +264,7 @@ class Bdpt:
                 arrive(*connector.hit_aperture(walk, walk.active), walk.active)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             smooth = smooth & (vertex.depth < self.max_depth)
+            vertex.partial = connector.first_light_vertex(vertex, start, active)
             if self.strategies.sensor:
                 arrive(*connector.connect_sensor(vertex, walk.stream, smooth), smooth)
             if self.slots == 0:

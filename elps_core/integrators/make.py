@@ -12,6 +12,7 @@ from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.strategies import Strategies, chosen
 from elps_core.sampling.context import EYE_SHARE, LIGHT_SHARE, PixelWorth, guided
 from elps_core.sampling.direction import SCATTERING, Directions
+from elps_core.sampling.lights import RegionLights
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.settings import RenderSettings
@@ -55,7 +56,8 @@ def frames(
         heuristic=settings.heuristic,
         directions=_directions(settings, strategies, parts),
         thinning=settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1,
-        worth=PixelWorth(parts.pilot, camera.size) if parts and settings.roulette == "context" else None,
+        region_lights=_region_lights(settings, lights, parts),
+        worth=PixelWorth(parts.pilot, parts.noise, camera.size) if parts and settings.roulette == "context" else None,
     )
     if settings.integrator == "pssmlt":
         return MetropolisFrames(bdpt, sensor.film(), settings.pssmlt)
@@ -71,3 +73,10 @@ def _directions(settings: RenderSettings, strategies: Strategies, parts: Directi
         eye=(EYE_SHARE if by_table else 0.0) if strategies.eye_paths else None,
         light=(LIGHT_SHARE if by_table else 0.0) if strategies.light_paths else None,
     )
+
+
+def _region_lights(
+    settings: RenderSettings, lights: StartDensity, parts: DirectionalParts | None
+) -> RegionLights | None:
+    by_context = settings.direction_sampling == "context" and settings.light_sampling == "adjoint"
+    return RegionLights(lights, parts.lights) if parts and by_context and parts.lights.shape[1] else None

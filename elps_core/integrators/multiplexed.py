@@ -22,6 +22,7 @@ from elps_core.paths.mis import Side
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
 from elps_core.paths.walk import Walk, random_walk
+from elps_core.sampling.lights import NOWHERE
 
 SHORTEST = 2
 """Segments of the shortest path: light that the sensor sees directly is not a matter of chains."""
@@ -103,8 +104,8 @@ class Multiplexed:
         at_eye, at_light = _smooth(eye), _smooth(light)
 
         eye.walk.active = eye.walk.active & (s == 0)
-        met, _ = connector.hit_emitter(eye.walk, eye.vertex, eye.solid & (s == 0))
-        lit, _ = connector.connect_light(eye.vertex, to_light, at_eye & (s == 1))
+        met, _ = connector.hit_emitter(eye.walk, eye.vertex, mi.UInt32(NOWHERE), eye.solid & (s == 0))
+        lit, _ = connector.connect_light(eye.vertex, mi.UInt32(NOWHERE), to_light, at_eye & (s == 1))
         joined = connector.connect_vertices(eye.vertex, light.vertex, at_eye & at_light)
         seen, sample = connector.connect_sensor(light.vertex, to_sensor, at_light & (t == 1))
         value = met + lit + joined + seen * primary.weight

@@ -19,6 +19,7 @@ from elps_core.paths.surfaces import Surfaces
 from elps_core.paths.vertex import Vertex
 from elps_core.paths.walk import Walk
 from elps_core.sampling.direction import Directions
+from elps_core.sampling.lights import NOWHERE, RegionLights
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, SensorSample
 
@@ -42,6 +43,7 @@ class Connector:
         strategies: Strategies,
         heuristic: Heuristic,
         thinning: int = 1,
+        region_lights: RegionLights | None = None,
     ) -> None:
         self.scene = scene
         self.surfaces = Surfaces(scene)
@@ -51,6 +53,8 @@ class Connector:
         self.strategies = strategies
         self.heuristic = heuristic
         self._fraction = 1.0 / thinning
+        # Where frames bend, the two paths through a vertex may see its region from different sides.
+        self.region_lights = None if strategies.light_paths and self.surfaces.bends_frames else region_lights
         self._side = heuristic.length + 1
         if strategies.shown is not None:
             table = np.zeros((self._side, self._side), bool)
@@ -61,10 +65,29 @@ class Connector:
             self._shown = mi.Bool(table.ravel())
             dr.eval(self._shown)
 
-    def hit_emitter(self, walk: Walk, vertex: Vertex, active: mi.Bool) -> tuple[mi.Spectrum, mi.UInt32]:
+    def light_region(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.UInt32:
+        """The region by which a light is chosen at an eye vertex."""
+        if self.region_lights is None:
+            return mi.UInt32(NOWHERE)
+        # Light may come from the other side of what transmits: light paths would see another region there.
+        known = active & ~mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Transmission)
+        return dr.select(known, self.directions.region(si, si.wi, known), NOWHERE)
+
+    def first_light_vertex(self, vertex: Vertex, start: Start, active: mi.Bool) -> Partial:
+        """Partial sums of a light vertex that next event estimation would join to a light of its own choice."""
+        if self.region_lights is None:
+            return vertex.partial
+        first = active & (vertex.depth == 1)
+        ratio = self.region_lights.ratio(self.light_region(vertex.si, first), start.cell, first)
+        return Partial(vertex.partial.dvcm * self.heuristic.power(ratio), vertex.partial.dvc)
+
+    def hit_emitter(
+        self, walk: Walk, vertex: Vertex, region: mi.UInt32, active: mi.Bool
+    ) -> tuple[mi.Spectrum, mi.UInt32]:
         """s = 0: an eye path meets an emitter, or leaves the scene for its environment.
 
-        Returns the contribution and the emitter's cell.
+        ``region`` is that by which a light was chosen at the vertex before. Returns the contribution and the
+        emitter's cell.
         """
         active = walk.active if self.lights.emission.has_environment else active
         if not self.strategies.emission:
@@ -79,15 +102,25 @@ class Connector:
         pdf_start, index, cell = self.lights.pdf(emitter, vertex.si, active)
         infinite = ~vertex.si.is_valid() if emission.has_environment else mi.Bool(False)
         pdf_omega = emission.pdf_direction(index, mi.Bool(False), cosine, active, infinite=infinite)
-        eye = self._others(vertex.partial, pdf_start, pdf_omega * self._fraction, "eye", self.strategies.next_event)
+        # Next event estimation may choose otherwise than light paths start, of which there may be fewer.
+        ratio = self.region_lights.ratio(region, cell, active) if self.region_lights else mi.Float(1.0)
+        pdf_omega = pdf_omega * (self._fraction / ratio)
+        eye = self._others(vertex.partial, pdf_start * ratio, pdf_omega, "eye", self.strategies.next_event)
         # Directly seen light has no other strategy.
         scale = dr.select(vertex.depth == 1, 1.0, self._weight([], eye))
         return dr.select(active, vertex.beta * value * scale, 0.0), cell
 
-    def connect_light(self, vertex: Vertex, stream: Stream, active: mi.Bool) -> tuple[mi.Spectrum, Start]:
-        """s = 1: next event estimation, a fresh light vertex for an eye vertex."""
+    def connect_light(
+        self, vertex: Vertex, region: mi.UInt32, stream: Stream, active: mi.Bool
+    ) -> tuple[mi.Spectrum, Start]:
+        """s = 1: next event estimation, a fresh light vertex for an eye vertex, chosen by ``region``."""
         emission = self.lights.emission
-        start = self.lights.sample(stream.next_2d(), stream.next_2d(), vertex.si.wavelengths, active)
+        u_cell, u_point, wavelengths = stream.next_2d(), stream.next_2d(), vertex.si.wavelengths
+        if self.region_lights:
+            start, pdf_start = self.region_lights.sample(region, u_cell, u_point, wavelengths, active)
+        else:
+            start = self.lights.sample(u_cell, u_point, wavelengths, active)
+            pdf_start = start.pdf
         point = start.point
         direction, distance2, target = emission.towards(point, vertex.si.p)
         radiance, cos_light = emission.radiance(point, -direction, active)
@@ -103,8 +136,8 @@ class Connector:
         if self.strategies.emission:
             light = self.heuristic.single(dr.select(point.delta, 0.0, seen.pdf), pdf_omega, "light")
         pdf_direction = emission.pdf_direction(point.index, point.delta, cos_light, active, infinite=point.infinite)
-        # Light paths start with the density of this very sample, so that it cancels in the ratio.
-        pdf_light = pdf_direction * cos_eye / distance2 * self._fraction
+        # Were it not for regions and thinning, the density of the light vertex would cancel in the ratio.
+        pdf_light = pdf_direction * cos_eye / distance2 * (self._fraction * pdf_start / start.pdf)
         eye = self._others(vertex.partial, pdf_light, seen.pdf_rev, "eye", False)
         value = vertex.beta * seen.value * radiance * (self._weight(light, eye) / pdf_omega)
         return dr.select(active, value, 0.0), start

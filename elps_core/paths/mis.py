@@ -72,16 +72,16 @@ class Heuristic:
         first segments are parallel: densities are then those of an area across the rays. ``fraction``
         is the number of paths from this side for one from the other.
         """
-        before = Partial(self._power(dr.rcp(pdf_point * fraction)), [mi.Float(0.0)] * self.width)
+        before = Partial(self.power(dr.rcp(pdf_point * fraction)), [mi.Float(0.0)] * self.width)
         partial = self.scatter(before, cosine, pdf, mi.Float(0.0), mi.Bool(False), side)
         # A first vertex that is drawn alone, as next event estimation does, is drawn for every other path.
-        partial.dvcm = partial.dvcm * self._power(mi.Float(1.0 / fraction))
+        partial.dvcm = partial.dvcm * self.power(mi.Float(1.0 / fraction))
         return partial
 
     def arrive(self, partial: Partial, distance2: mi.Float, cos_in: mi.Float) -> Partial:
         """After a segment of squared length ``distance2``, hitting a surface under ``cos_in`` (geometric)."""
-        inv_cos = self._power(dr.rcp(cos_in))
-        return Partial(partial.dvcm * self._power(distance2) * inv_cos, [ratio * inv_cos for ratio in partial.dvc])
+        inv_cos = self.power(dr.rcp(cos_in))
+        return Partial(partial.dvcm * self.power(distance2) * inv_cos, [ratio * inv_cos for ratio in partial.dvc])
 
     def scatter(
         self, partial: Partial, cos_out: mi.Float, pdf_fwd: mi.Float, pdf_rev: mi.Float, delta: mi.Bool, side: Side
@@ -92,10 +92,10 @@ class Heuristic:
         densities cancel, and no connection is possible there.
         """
         inv_fwd = dr.rcp(pdf_fwd)
-        head = self._power(cos_out * inv_fwd)
-        tail = dr.select(delta, self._power(cos_out), head * self._power(pdf_rev))
+        head = self.power(cos_out * inv_fwd)
+        tail = dr.select(delta, self.power(cos_out), head * self.power(pdf_rev))
         return Partial(
-            dr.select(delta, 0.0, self._power(inv_fwd)),
+            dr.select(delta, 0.0, self.power(inv_fwd)),
             self._gather(dr.select(delta, 0.0, head * partial.dvcm), tail, partial.dvc, side),
         )
 
@@ -108,14 +108,14 @@ class Heuristic:
         end, ``pdf_rev`` the solid-angle density of this vertex's predecessor given that direction.
         ``nearest``: only the strategy with one vertex less on this side exists.
         """
-        scale = self._power(pdf_from_other)
+        scale = self.power(pdf_from_other)
         if nearest:
             return self._gather(scale * partial.dvcm, mi.Float(0.0), [], side)
-        return self._gather(scale * partial.dvcm, scale * self._power(pdf_rev), partial.dvc, side)
+        return self._gather(scale * partial.dvcm, scale * self.power(pdf_rev), partial.dvc, side)
 
     def single(self, pdf_other: mi.Float, pdf_this: mi.Float, side: Side) -> Ratios:
         """The ratio of the one strategy on a side whose subpath is a single vertex."""
-        return self._gather(self._power(pdf_other / pdf_this), mi.Float(0.0), [], side)
+        return self._gather(self.power(pdf_other / pdf_this), mi.Float(0.0), [], side)
 
     def weight(self, light: Ratios, eye: Ratios) -> mi.Float:
         """The weight of a strategy from the ratios of both sides, in [0, 1]."""
@@ -128,7 +128,7 @@ class Heuristic:
             return dr.select(least <= 1.0, dr.rcp(total), 0.0)
         return dr.rcp(sum(ratios, mi.Float(1.0)))
 
-    def _power(self, density: mi.Float) -> mi.Float:
+    def power(self, density: mi.Float) -> mi.Float:
         """A density or density ratio as this heuristic counts it."""
         return density * density if self.kind == "power" else density
 

@@ -13,8 +13,6 @@ MAX_SURVIVAL = 0.95
 """Mitsuba's upper limit of the survival probability: bounds walks in media that absorb nothing."""
 MIN_SURVIVAL = 0.05
 """Lower limit, so that a survivor's weight stays bounded."""
-GAIN = 6.0
-"""Paths worth less than 1 / GAIN of their pixel are thinned out by context."""
 LEAST_BY_CONTEXT = 0.1
 """Lower limit by context."""
 
@@ -39,9 +37,8 @@ class RouletteRule:
         return dr.select(depth >= self.start, dr.clip(q, MIN_SURVIVAL, MAX_SURVIVAL), 1.0)
 
     def by_worth(self, worth: mi.Float, known: mi.Bool, otherwise: mi.Float) -> mi.Float:
-        """Probability to continue where a path is ``known`` to be worth that share of its pixel [thesis 5.3.4].
+        """Probability to continue where it is ``known`` what a path is worth [thesis 5.3.4].
 
-        A path is kept whole that is worth more than 1 / :data:`GAIN` of its pixel, and a tenth of the others at
-        least: tables may err. ``otherwise`` holds where nothing is known.
+        In proportion to that, and a tenth at least, for tables may err. ``otherwise`` holds where nothing is known.
         """
-        return dr.select(known, dr.clip(GAIN * worth, LEAST_BY_CONTEXT, 1.0), otherwise)
+        return dr.select(known, dr.clip(worth, LEAST_BY_CONTEXT, 1.0), otherwise)

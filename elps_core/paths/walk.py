@@ -21,10 +21,10 @@ Visit: TypeAlias = "Callable[[Walk, Vertex, State, mi.Bool], State]"
 """Called after every segment with the walk that made it (its ray, its stream of random numbers), the
 vertex at its end, the caller's own state, and which lanes stand at a surface vertex; lanes that are
 active in the walk and not there have left the scene, and the vertex tells in which direction. Returns
-the new state. Runs inside the loop's kernel."""
+the new state. Runs inside the loop's kernel, and may change the vertex's partial sums."""
 Leave: TypeAlias = "Callable[[Walk, Vertex, Scattered, State, mi.Bool], State]"
-"""Called when a direction has been chosen, with the walk that will take it, the vertex that it leaves, the event,
-the caller's state, and which lanes go on. Returns the new state."""
+"""Called when a direction has been chosen, with the walk that will take it (active where it goes on), the vertex that
+it leaves, the event, the caller's state, and which lanes were asked. Returns the new state."""
 
 
 @dataclass
@@ -87,6 +87,7 @@ def random_walk(
         cos_out = dr.abs(dr.dot(si.n, direction))
         beta = vertex.beta * event.weight
         eta = walk.eta * event.eta
+        scattered = active
         active = active & ((event.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0))
 
         survival = roulette.survival(beta, eta, event.weight, vertex.depth)
@@ -108,7 +109,7 @@ def random_walk(
             active=active,
         )
         if leave:
-            state = leave(after, vertex, event, state, active)
+            state = leave(after, vertex, event, state, scattered)
         return after, state
 
     _, state = dr.while_loop((start, state), lambda walk, _: walk.active, body, label=label)

@@ -12,8 +12,12 @@ from elps_core.context.lookup import RegionLookup
 from elps_core.context.store import DirectionalParts
 from elps_core.sampling.direction import Guide, GuidedDirections
 
-EYE_SHARE, LIGHT_SHARE = 0.5, 0.5
-"""Chance of a direction from the table, of eye and of light paths [thesis 5.3.3]."""
+EYE_SHARE, LIGHT_SHARE = 0.6, 0.6
+"""Chance of a direction from the table, of eye and of light paths; a half in the thesis [thesis 5.3.3]."""
+CARE = 8.0
+"""What a path is expected to find counts in units of its pixel's noise: the gain is this over the noise."""
+GAINS = (1.0, 32.0)
+"""Bounds of the gain."""
 DARKEST = 1e-3
 """Least estimate of a pixel relative to the mean: what no pilot sample has found is not nothing."""
 
@@ -32,12 +36,17 @@ def guided(parts: DirectionalParts, *, eye: float | None, light: float | None) -
 
 
 class PixelWorth:
-    """What a unit of luminance is worth at a film position: 1 / the pilot's estimate there."""
+    """What a unit of luminance is worth at a film position: gain / the pilot's estimate there.
 
-    def __init__(self, pilot: NDArray[np.float32], size: mi.ScalarVector2u) -> None:
+    To end a path adds noise in proportion to what it would have found, and saves its cost. So the gain is the
+    greater the less ``noise`` there is otherwise: the standard deviation of one path over its pixel's value.
+    """
+
+    def __init__(self, pilot: NDArray[np.float32], noise: float, size: mi.ScalarVector2u) -> None:
+        self.gain = float(np.clip(CARE / max(noise, 1e-3), *GAINS))
         height, width = pilot.shape
         floor = DARKEST * float(pilot.mean()) or 1.0
-        self._worth = mi.Float(1.0 / np.maximum(np.asarray(pilot, np.float32), floor).ravel())
+        self._worth = mi.Float(self.gain / np.maximum(np.asarray(pilot, np.float32), floor).ravel())
         self._width = dr.opaque(mi.UInt32, width)
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(size.x), height / int(size.y)])

@@ -30,10 +30,6 @@ from elps_core.scene.spectrum import luminance
 ENOUGH = 64
 """Records from which on a region's table is taken to know what a path can expect."""
 
-MEAN_SHARE = 0.5
-"""Part of what a path can expect that is the region's mean radiance, whatever the direction: tables do not know of
-every caustic, and paths that are thinned out before they find one become fireflies."""
-
 
 class Directions:
     """Directions by scattering alone."""
@@ -62,9 +58,12 @@ class Directions:
         side: Side,  # noqa: ARG002
         active: mi.Bool,  # noqa: ARG002
     ) -> tuple[mi.Float, mi.Bool]:
-        """What a path is expected to give to its pixel that goes on into ``direction`` with throughput
-        ``beta``, and where that is known."""
+        """What a path is expected to find that goes on with throughput ``beta``, and where that is known."""
         return mi.Float(1.0), mi.Bool(False)
+
+    def region(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:  # noqa: ARG002
+        """Region of a surface point as a path sees it that comes from ``wi`` (local); 0 without regions."""
+        return mi.UInt32(0)
 
 
 SCATTERING = Directions()
@@ -137,14 +136,15 @@ class GuidedDirections(Directions):
         if guide is None:
             return super().expected(si, direction, cos_out, beta, side, active)
         region = self.region(si, si.wi, active)
+        # The mean radiance at least, whatever the direction: tables do not know of every caustic, and paths that
+        # are thinned out before they find one become fireflies.
         by_direction = guide.field.pdf(region, direction, active) / cos_out
-        mean = dr.lerp(by_direction, dr.inv_pi, MEAN_SHARE)
-        incident = guide.field.irradiance(region, active) * mean
+        incident = guide.field.irradiance(region, active) * dr.maximum(by_direction, dr.inv_pi)
         value = luminance(mi.UnpolarizedSpectrum(beta), si.wavelengths) * incident
         return value, active & (guide.field.evidence(region, active) >= ENOUGH)
 
     def region(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:
-        """Region of a surface point as a path sees it that comes from ``wi`` (local)."""
+        """As of :class:`Directions`, by the surface's side that ``wi`` is on."""
         return self.lookup(si.p, dr.mulsign(mi.Vector3f(si.sh_frame.n), mi.Frame3f.cos_theta(wi)), active)
 
     def _mixed(

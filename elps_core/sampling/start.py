@@ -57,8 +57,20 @@ class StartDensity:
         """Whether the density is constant on each emitter, so that F^-1 is not needed."""
         self._mean = mi.Float((by_emitter.mean(axis=1)).astype(np.float32))
 
-    def sample(self, u_cell: mi.Point2f, u_point: mi.Point2f, wavelengths: mi.Spectrum, active: mi.Bool) -> Start:
-        """Draw a light vertex: a cell with ``u_cell``, a point in it with ``u_point``."""
+    def sample(
+        self,
+        u_cell: mi.Point2f,
+        u_point: mi.Point2f,
+        wavelengths: mi.Spectrum,
+        active: mi.Bool,
+        given: mi.UInt32 | None = None,
+        u_given: mi.Point2f | None = None,
+    ) -> Start:
+        """Draw a light vertex: a cell with ``u_cell``, a point in it with ``u_point``.
+
+        Where an emitter is ``given`` (less than the emitters there are), its point at ``u_given`` is taken
+        instead, with the density that drawing it would have had.
+        """
         column = interval(self._column_cdf, mi.UInt32(0), self.columns, u_cell.x, active)
         if self.flat and self.rows == 1:
             row = mi.UInt32(0)
@@ -67,8 +79,12 @@ class StartDensity:
         index = column // self.per_emitter
         inside = mi.Float(column - index * self.per_emitter)
         u = mi.Point2f((inside + u_point.x) / self.per_emitter, (mi.Float(row) + u_point.y) / self.rows)
-        point = self.emission.point(index, u, wavelengths, active)
         cell = column * self.rows + row
+        if given is not None and u_given is not None:
+            chosen = given < self.emission.count
+            index, u = dr.select(chosen, given, index), dr.select(chosen, u_given, u)
+            cell = dr.select(chosen, self.cell(given, u_given), cell)
+        point = self.emission.point(index, u, wavelengths, active)
         density = dr.gather(mi.Float, self._density, cell, active)
         return Start(point, density * point.pdf, cell)
 
@@ -86,10 +102,22 @@ class StartDensity:
         if self.flat:
             return dr.gather(mi.Float, self._mean, index, active) * pdf, index, index * self.per_emitter * self.rows
         u = self.emission.inverse(index, si, active)
-        column = index * self.per_emitter + dr.minimum(mi.UInt32(u.x * self.per_emitter), self.per_emitter - 1)
-        row = dr.minimum(mi.UInt32(u.y * self.rows), self.rows - 1)
-        cell = column * self.rows + row
+        cell = self.cell(index, u)
         return dr.gather(mi.Float, self._density, cell, active) * pdf, index, cell
+
+    def cell(self, index: mi.UInt32, u: mi.Point2f) -> mi.UInt32:
+        """The cell of emitter ``index`` that holds the point of its unit square."""
+        column = index * self.per_emitter + dr.minimum(mi.UInt32(u.x * self.per_emitter), self.per_emitter - 1)
+        return column * self.rows + dr.minimum(mi.UInt32(u.y * self.rows), self.rows - 1)
+
+    def density(self, cell: mi.UInt32, active: mi.Bool) -> mi.Float:
+        """Density over its emitter's unit square, over all emitters, in a cell."""
+        return dr.gather(mi.Float, self._density, cell, active)
+
+    @property
+    def nowhere(self) -> mi.UInt32:
+        """An index that is no emitter's."""
+        return mi.UInt32(self.emission.count)
 
 
 def uniform_table(emission: Emission) -> NDArray[np.float64]:

@@ -31,6 +31,7 @@ from elps_core.particles.classical import ClassicalSampler
 from elps_core.particles.metropolis import MetropolisSampler
 from elps_core.particles.records import PHOTON, Particles, ParticleSampler
 from elps_core.renderer import Renderer
+from elps_core.sampling.lights import MOST_PIECES
 from elps_core.sampling.start import StartDensity, power_table
 from elps_core.scene.emission import Emission
 from elps_core.scene.generate import door, write
@@ -277,7 +278,14 @@ def loading(folder: Path, effort: Effort) -> list[str]:
 
     pilot = rng.random(PILOT).astype(np.float32)
     parts = DirectionalParts(
-        regions, made_up(), made_up(), pilot, np.zeros(PILOT, np.uint16), np.zeros(DENSITY, np.float32)
+        regions,
+        made_up(),
+        made_up(),
+        pilot,
+        1.0,
+        np.ones((regions.count, MOST_PIECES), np.float32),
+        np.zeros(PILOT, np.uint16),
+        np.zeros(DENSITY, np.float32),
     )
     context = GlobalContext(
         digest="", scene="", sensor=0, settings=settings, adjoint=pilot, emitters=np.zeros((1, 7), np.float32),

@@ -41,7 +41,9 @@ def directions(count: int = 5) -> DirectionalParts:
     )
     view = rng.integers(0, count, (12, 16)).astype(np.uint16)
     pilot, density = (rng.random(shape).astype(np.float32) for shape in ((12, 16), (2, 8, 8)))
-    return DirectionalParts(regions, radiance, importance, pilot, view, density)
+    return DirectionalParts(
+        regions, radiance, importance, pilot, 1.0, np.ones((regions.count, 2), np.float32), view, density
+    )
 
 
 def file_with(parts: DirectionalParts | None, path: Path) -> Path:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import pytest
 
+from tests import adversaries
 from tests.agreement import Agreement, compare
 from tests.rendering import render
 from tests.zoo import ZOO, Entry
@@ -29,9 +30,19 @@ class Agree(Protocol):
     """Compares an algorithm's image of a scene with the reference of the zoo."""
 
     def __call__(
-        self, name: str, algorithm: str, *, more: float = 1.0, crop: Callable[[Array], Array] = ..., **options: Any
+        self,
+        name: str,
+        algorithm: str,
+        *,
+        more: float = 1.0,
+        crop: Callable[[Array], Array] = ...,
+        wrong: adversaries.Kind | None = None,
+        **options: Any,
     ) -> Agreement:
-        """``more`` times the usual samples; ``crop`` takes a part of all images; ``options`` as for ``render``."""
+        """``more`` times the usual samples; ``crop`` takes a part of all images; ``options`` as for ``render``.
+
+        ``wrong`` is a kind of context that knows nothing of the scene, by which the algorithm goes.
+        """
         ...
 
 
@@ -58,10 +69,13 @@ def agree(tmp_path: Path, references: dict[str, Array]) -> Agree:
         *,
         more: float = 1.0,
         crop: Callable[[Array], Array] = lambda images: images,
+        wrong: adversaries.Kind | None = None,
         **options: Any,
     ) -> Agreement:
         entry: Entry = ZOO[name]
         scene = entry.load(tmp_path)
+        if wrong:
+            options["parts"] = adversaries.parts(scene, wrong)
         common: dict[str, Any] = {"images": IMAGES, "max_depth": entry.max_depth, "seed": entry.seed}
         if name not in references:
             references[name] = render(scene, entry.reference, spp=round(REFERENCE_SPP * entry.effort), **common)

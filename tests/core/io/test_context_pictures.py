@@ -52,7 +52,16 @@ def parts() -> DirectionalParts:
     table = Table((0.0, 0.0, 0.0), 1.0, np.array([[[1]]], np.uint32), np.zeros((6, 1), np.uint16))
     regions = Regions(rng.random((COUNT, 3)).astype(np.float32), normals, 1.0, table)
     density = rng.random((2, 16, 16)).astype(np.float32)
-    return DirectionalParts(regions, tables(), tables(), np.ones(view.shape, np.float32), view, density)
+    return DirectionalParts(
+        regions,
+        tables(),
+        tables(),
+        np.ones(view.shape, np.float32),
+        1.0,
+        np.ones((regions.count, 2), np.float32),
+        view,
+        density,
+    )
 
 
 def context(parts: DirectionalParts | None) -> GlobalContext:

@@ -1,0 +1,81 @@
+"""No context moves an image, however wrong it is: tables shape densities, and densities are divided by.
+
+More than half of all directions go where a table of random numbers, of a single cell, of nothing or of another place
+says, and three of four light points. That makes more noise, so that the tests of roulette, which then also goes
+by random numbers and multiplies what is left by up to ten at each bounce, have few bounces.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests import adversaries
+from tests.core.integrators.conftest import Agree
+from tests.core.integrators.test_analytic import IMAGES, check, sphere, up_to
+from tests.rendering import render
+
+BOUND = 0.02
+"""Relative bias of the mean that each comparison finds with a chance of 95%; by light alone it is :data:`DIM`."""
+DIM = 0.035
+DEPTH = 4
+
+SCENES: list[tuple[str, str, adversaries.Kind, float]] = [
+    ("mixed", "path", "random", 2.0),
+    ("mixed", "light", "random", 16.0),
+    ("mixed", "bdpt", "spiked", 2.0),
+    ("mask", "path", "spiked", 6.0),
+    ("mask", "bdpt", "random", 1.0),
+    ("roughdielectric", "path", "spiked", 30.0),
+    ("roughdielectric", "light", "spiked", 20.0),
+    ("roughdielectric", "bdpt", "random", 7.0),
+]
+"""Scene, algorithm, kind of context, and samples as a multiple of the usual ones."""
+
+
+@pytest.mark.parametrize(("name", "algorithm", "kind", "more"), SCENES, ids=[" ".join(case[:3]) for case in SCENES])
+def test_no_tables_move_the_image(agree: Agree, name: str, algorithm: str, kind: adversaries.Kind, more: float) -> None:
+    agreement = agree(name, algorithm, more=more, wrong=kind, roulette="albedo")
+    assert agreement.agrees, agreement
+    assert agreement.detectable < (DIM if algorithm == "light" else BOUND), agreement
+
+
+IN_A_SPHERE: list[tuple[str, adversaries.Kind]] = [
+    *[("bdpt", kind) for kind in adversaries.KINDS],
+    ("path", "random"),
+    ("path", "empty"),
+    ("light", "random"),
+    ("light", "spiked"),
+]
+
+
+@pytest.mark.parametrize(("algorithm", "kind"), IN_A_SPHERE)
+def test_no_tables_move_the_radiance_in_a_sphere(mi: Any, algorithm: str, kind: adversaries.Kind) -> None:
+    scene = sphere(mi, "area")
+    parts = adversaries.parts(scene, kind)
+    images = render(scene, algorithm, images=IMAGES, spp=192, max_depth=DEPTH, parts=parts, roulette="albedo")
+    check(images, up_to("area", DEPTH), bound=BOUND)
+
+
+def test_no_tables_move_what_chains_find(mi: Any) -> None:
+    scene = sphere(mi, "area")
+    parts = adversaries.parts(scene, "random")
+    options: dict[str, Any] = {"parts": parts, "roulette": "albedo", "pssmlt__bootstrap": 4096}
+    images = render(scene, "pssmlt", images=IMAGES, spp=128, max_depth=3, **options)
+    check(images, up_to("area", 3), bound=BOUND)
+
+
+@pytest.mark.parametrize(("algorithm", "kind"), [("path", "random"), ("light", "spiked"), ("bdpt", "random")])
+def test_no_roulette_by_context_moves_the_radiance_in_a_sphere(mi: Any, algorithm: str, kind: adversaries.Kind) -> None:
+    scene = sphere(mi, "area")
+    parts = adversaries.parts(scene, kind)
+    images = render(scene, algorithm, images=IMAGES, spp=768, max_depth=DEPTH, parts=parts)
+    check(images, up_to("area", DEPTH), bound=DIM)
+
+
+def test_no_roulette_by_context_moves_the_image(agree: Agree) -> None:
+    """Directions are those of scattering: tables serve roulette alone."""
+    agreement = agree("mixed", "bdpt", more=6.0, wrong="random", direction_sampling="scattering")
+    assert agreement.agrees, agreement
+    assert agreement.detectable < DIM, agreement
