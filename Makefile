@@ -23,6 +23,8 @@ ci:
 # algorithms at equal time on that scene.
 bench: setup
 	@.venv/bin/python -m tests.benchmarks.main_job
+	@.venv/bin/python -m tests.benchmarks.context
+	@.venv/bin/python -m tests.benchmarks.enlightened
 	@.venv/bin/python -m tests.benchmarks.algorithms $(if $(SCENE),--scene $(SCENE))
 
 validate: setup

@@ -28,7 +28,7 @@ from elps_core.particles.records import IMPORTON, PHOTON, Particles, ParticleSam
 from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
-from elps_core.sampling.context import EYE_SHARE, PixelWorth
+from elps_core.sampling.context import EYE_SHARE, LIGHT_SHARE, PixelWorth
 from elps_core.sampling.direction import Guide, GuidedDirections
 from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
@@ -55,8 +55,8 @@ UNROULETTED = 2
 """Steps of filling without roulette: what tables hold so far would end paths that have more to find."""
 LENT = 0.1
 """Share of a region's table of lights that is its group's: what was not met there may be near."""
-LIGHT_PART = 4
-"""Eye paths for one light path: photons tell what eye paths cannot find, and little else."""
+LIGHT_PART = 1
+"""Eye paths for one light path: photons tell what eye paths cannot find."""
 MOST_CHAINS, MUTATIONS = 32768, 16
 """Metropolis chains side by side, and their mutations where there are fewer."""
 PILOT_PATHS = 1 << 19
@@ -320,7 +320,10 @@ class TableBuilder:
         importance, directions, worth = sources["importance"], finder, None
         if number:
             radiance = DirectionalField(finder.lookup, self._finished("radiance", "photons"))
-            directions = GuidedDirections(finder.lookup, Guide(radiance, EYE_SHARE), None)
+            # Light paths that know where the sensor is bring photons from what eye paths cannot find.
+            known = number > 1
+            light = Guide(DirectionalField(finder.lookup, self._finished("importance")), LIGHT_SHARE) if known else None
+            directions = GuidedDirections(finder.lookup, Guide(radiance, EYE_SHARE), light)
             worth = PixelWorth(self._pilot_image(), self._noise(), size)
         else:  # What importance is worth is not known before there is a pilot.
             importance = DirectionalAccumulator(finder.lookup.count, self.settings.rows, self.settings.columns)
@@ -350,7 +353,6 @@ class TableBuilder:
             self._enter_pilot(place, found)
             sources["radiance"].close_batch()
             importance.close_batch(here * areas)
-            # Light paths keep to scattering: importance is what they would be guided by.
             lit = max(1, here // LIGHT_PART)
             recorder.light_paths(lit, Stream.of(lit, *key, part, 1), sources["photons"])
             sources["photons"].close_batch(lit * areas)

@@ -36,6 +36,7 @@ class Scattered:
     pdf_rev: mi.Float  # Of a smooth event; at a Dirac event both densities cancel
     eta: mi.Float  # Relative index of refraction passed
     delta: mi.Bool  # Whether it is a Dirac event
+    albedo: mi.Spectrum  # f |cos| / density of scattering alone, whatever else was drawn by
 
 
 def seen_by_eye(si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
@@ -77,7 +78,7 @@ def sample_from_eye(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f
         sample, weight = bsdf.sample(context, si, u_lobe, u, active)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         pdf_rev = bsdf.pdf(context, _reversed(si, sample.wo), si.wi, active & ~delta)
-        return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta)
+        return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta, weight)
 
     event: Scattered = dr.dispatch(si.bsdf(), ask, si, u_lobe, u, active)
     return event
@@ -94,10 +95,11 @@ def sample_from_light(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point
         weight = dr.select(delta, specular * _exchange(si.wi, sample), value / sample.pdf)
         # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
         weight = dr.select(dr.max(specular) > 0.0, weight, 0.0)
-        return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta)
+        return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta, weight)
 
     found: Scattered = dr.dispatch(si.bsdf(), ask, si, u_lobe, u, active)
     found.weight = found.weight * (dr.abs(dr.dot(si.to_world(found.wo), si.n)) / _cos_in(si))
+    found.albedo = found.weight
     return found
 
 
@@ -141,7 +143,7 @@ def sample_mixed(
         weight = dr.select(delta, drawn, value)
         # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
         weight = dr.select(given | (dr.max(drawn) > 0.0), weight, 0.0)
-        return Scattered(wo, weight, dr.select(delta, sample.pdf, pdf), pdf_rev, sample.eta, delta)
+        return Scattered(wo, weight, dr.select(delta, sample.pdf, pdf), pdf_rev, sample.eta, delta, weight)
 
     event: Scattered = dr.dispatch(si.bsdf(), ask, si, given, wo, u_lobe, u, active)
     # What a given direction passes through is not told; it matters for roulette by throughput only.

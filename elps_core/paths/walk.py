@@ -38,6 +38,7 @@ class Walk:
     depth: mi.UInt32  # Segments traced so far
     offset: mi.Float  # Distance from the subpath's true start to the ray's origin (near clip)
     parallel: mi.Bool  # Whether the first segment is one of parallel rays, so that its length does not count
+    survived: mi.Float  # Chance to come so far by roulette
     worth: mi.Float  # What a unit of luminance is worth where the path will count, for roulette by context
     stream: Stream
     active: mi.Bool
@@ -90,10 +91,10 @@ def random_walk(
         scattered = active
         active = active & ((event.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0))
 
-        survival = roulette.survival(beta, eta, event.weight, vertex.depth)
+        survival = roulette.survival(beta, eta, event.albedo, vertex.depth)
         if roulette.kind == "context":
             value, known = directions.expected(si, direction, cos_out, beta, side, active)
-            survival = roulette.by_worth(value * walk.worth, known, survival)
+            survival = roulette.by_worth(value * walk.worth, walk.survived, known, survival)
         if roulette.kind != "none":
             active = active & (walk.stream.next_1d() < survival)
         after = Walk(
@@ -104,6 +105,7 @@ def random_walk(
             depth=vertex.depth,
             offset=mi.Float(0.0),
             parallel=mi.Bool(False),
+            survived=walk.survived * survival,
             worth=walk.worth,
             stream=walk.stream,
             active=active,

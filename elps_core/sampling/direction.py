@@ -115,6 +115,9 @@ class GuidedDirections(Directions):
             direction, _ = guide.field.sample(self.region(si, si.wi, by_table), u, by_table)
             event = sample_mixed(si, by_table, si.to_local(direction), u_lobe, u, side, active)
             pdf = self._mixed(event.pdf, si, si.wi, event.wo, side, smooth, active & ~event.delta)
+            # Roulette asks what the material keeps, not how well the table has chosen.
+            albedo = dr.select(event.pdf > 0.0, event.weight / event.pdf, 1.0)
+            event.albedo = dr.select(event.delta, event.weight, albedo)
             event.weight = dr.select(event.delta, event.weight / (1.0 - share), event.weight / pdf)
             event.weight = dr.select(event.delta | (pdf > 0.0), event.weight, 0.0)
             event.pdf = dr.select(event.delta, event.pdf, pdf)

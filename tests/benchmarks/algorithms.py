@@ -16,12 +16,10 @@ import numpy as np
 import typer
 
 from elps_core import device
-from elps_core.estimate.stats import rel_mse, relative_squares
-from elps_core.io.exr import read_exr
-from elps_core.io.preview import to_png
 from elps_core.scene.generate import cornell, write
 from elps_core.settings import RenderSettings, with_overrides
-from tests.benchmarks.common import TRIM, in_turns, processor, render
+from tests.benchmarks.common import in_turns, processor
+from tests.benchmarks.equal_time import PLAIN, Duel, equal_time
 from tests.benchmarks.rays import OwnRays
 
 REPORT = Path("docs/algorithms.md")
@@ -39,8 +37,7 @@ WAYS: dict[str, tuple[dict[str, Any], int]] = {
     "pssmlt, multiplexed": ({"integrator": "pssmlt", "pssmlt.multiplexed": True}, 32),
 }
 COMPARED: dict[str, list[str]] = {
-    "mi_path": ["--integrator", "mi_path"],
-    "mi_path, no roulette": ["--integrator", "mi_path", "--roulette", "none"],
+    **PLAIN,
     "path": ["--integrator", "path"],
     "bdpt": ["--integrator", "bdpt"],
     "pssmlt": ["--integrator", "pssmlt", "--set", "pssmlt.multiplexed=false"],
@@ -67,7 +64,10 @@ def main(
     ]
     print("\n".join(text), flush=True)
     if scene is not None:
-        compared = comparison(scene, seconds, reference_seconds, runs, size)
+        title = scene.parent.name
+        pictures = {way: REPORT.parent / f"{title}-{way.replace('_', '-')}.png" for way in PICTURES}
+        duel = Duel(title, scene, COMPARED, ("--integrator", "bdpt"), size, pictures)
+        compared = equal_time(duel, seconds, reference_seconds, runs)
         print("\n".join(compared))
         text += compared
     REPORT.write_text("\n".join(text) + "\n")
@@ -127,55 +127,6 @@ def speed() -> list[str]:
     for name in ("pssmlt", "pssmlt, multiplexed"):
         statistics = renderers[name].render_chunk(0, WAYS[name][1]).statistics
         lines.append(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in statistics.items()) + ".")
-    return [*lines, ""]
-
-
-def comparison(scene: Path, seconds: float, reference_seconds: float, runs: int, size: str) -> list[str]:
-    """Equal time, everything counted, against a converged reference of another seed."""
-    results: dict[str, list[tuple[float, float, float, float, int]]] = {name: [] for name in COMPARED}
-    with tempfile.TemporaryDirectory(prefix="elps-bench-") as name:
-        folder = Path(name)
-        made = render(scene, folder / "reference.exr", size, reference_seconds, 999, "--integrator", "bdpt")
-        parts, _ = read_exr(folder / "reference.exr")
-        reference = parts["image"]
-        # A reference has noise of its own, which every difference from it holds too.
-        squares = np.sort(relative_squares(parts["standard error"], reference).mean(axis=-1).ravel())
-        own, own_trimmed = float(squares.mean()), float(squares[: len(squares) - int(TRIM * len(squares))].mean())
-        for turn in range(runs):
-            for way, options in COMPARED.items():
-                figures = render(scene, folder / "image.exr", size, seconds, turn, *options)
-                picture = read_exr(folder / "image.exr")[0]["image"]
-                time_taken = float(figures["seconds_total"])
-                error, trimmed = rel_mse(picture, reference) - own, rel_mse(picture, reference, trim=TRIM) - own_trimmed
-                results[way].append(
-                    (1 / (error * time_taken), 1 / (trimmed * time_taken), error, trimmed, int(figures["spp"]))
-                )
-                print(way, turn, error, trimmed, figures["spp"], flush=True)
-                if turn == 0 and way in PICTURES:
-                    file = REPORT.parent / f"{scene.parent.name}-{way.replace(', ', '-').replace('_', '-')}.png"
-                    file.write_bytes(to_png(picture))
-    lines = [
-        f"## Equal time: {scene.parent.name}",
-        "",
-        f"{size}, depth 16, {seconds:.0f} s a render with loading, compilation and the context counted; {runs} runs",
-        f"each, in turns; default settings otherwise. relMSE against {made['spp']} samples per pixel of bdpt of",
-        f"another seed, whose own relative variance, {own:.5f}, is taken off; *trimmed* leaves out {TRIM:.0%} of them.",
-        "Efficiency is 1 / (relMSE seconds), as a ratio to `mi_path` with and without roulette: mean (range over runs;",
-        "trimmed).",
-        "",
-        "| | samples per pixel | relMSE | trimmed | to `mi_path` | to `mi_path` without roulette |",
-        "|---|---|---|---|---|---|",
-    ]
-    base = {way: np.array(results[way]).mean(axis=0) for way in ("mi_path", "mi_path, no roulette")}
-    for way, rows in results.items():
-        table = np.array(rows)
-        mean = table.mean(axis=0)
-        to, plain = base["mi_path"], base["mi_path, no roulette"]
-        spread = table[:, 0] / to[0]
-        lines.append(
-            f"| {way} | {mean[4]:.0f} | {mean[2]:.5f} | {mean[3]:.5f} | {mean[0] / to[0]:.2f} ({spread.min():.2f} to "
-            f"{spread.max():.2f}; {mean[1] / to[1]:.2f}) | {mean[0] / plain[0]:.2f} ({mean[1] / plain[1]:.2f}) |"
-        )
     return [*lines, ""]
 
 

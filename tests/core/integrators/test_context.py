@@ -28,8 +28,8 @@ SCENES: list[tuple[str, str, adversaries.Kind, float]] = [
     ("mask", "path", "spiked", 6.0),
     ("mask", "bdpt", "random", 1.0),
     ("roughdielectric", "path", "spiked", 30.0),
-    ("roughdielectric", "light", "spiked", 20.0),
-    ("roughdielectric", "bdpt", "random", 7.0),
+    ("roughdielectric", "light", "spiked", 40.0),
+    ("roughdielectric", "bdpt", "random", 14.0),
 ]
 """Scene, algorithm, kind of context, and samples as a multiple of the usual ones."""
 
