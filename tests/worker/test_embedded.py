@@ -45,7 +45,7 @@ def test_it_ends_with_its_owner_however_that_ends(ending: signal.Signals) -> Non
         url = owner.stdout.readline().strip()
         folder = folder_of(url)
         owner.send_signal(ending)
-        owner.wait(10)
+        owner.wait(60)
     wait_for(lambda: not answers(url), 5)
     wait_for(lambda: not folder.exists(), 5)
 

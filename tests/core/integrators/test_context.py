@@ -26,7 +26,6 @@ SCENES: list[tuple[str, str, adversaries.Kind, float]] = [
     ("mixed", "light", "random", 16.0),
     ("mask", "bdpt", "random", 1.0),
     ("roughdielectric", "path", "spiked", 30.0),
-    ("roughdielectric", "light", "random", 20.0),
     ("roughdielectric", "bdpt", "random", 14.0),
 ]
 """Scene, algorithm, kind of context, and samples as a multiple of the usual ones."""
