@@ -19,12 +19,12 @@ COVERED = {
 }
 """What other scenes of the suite cover as well: left to the validation run, because the suite has ten minutes."""
 CHOICE = {
-    "path": ["area-textured", "area-mesh", "projector", "mixed", "envmap", "sunsky", "blendbsdf", "hair", "mask"],
+    "path": ["area-textured", "area-mesh", "projector", "mixed", "envmap", "sunsky", "hair", "mask"],
     "path pure": ["area-disk-cylinder", "envmap", "dielectric"],
     "light": ["area-textured", "area-two-sided-surface", "envmap", "principled", "twosided", "thinlens-wide"],
     "light pure": ["thinlens-wide"],
     "bdpt": [name for name in ZOO if name not in {"maze", "hair", *COVERED}],
-    "pssmlt": ["area-textured", "envmap", "mixed", "thinlens-wide"],
+    "pssmlt": ["envmap", "thinlens-wide"],
 }
 MORE = {"path": 2.0, "path pure": 4.0, "light": 4.0, "light pure": 40.0, "bdpt": 1.0, "pssmlt": 5.0}
 """Samples of an algorithm, as a multiple of those of bdpt."""
