@@ -60,6 +60,8 @@ class WalkRecorder:
         bdpt = self.bdpt
         pieces = region_lights.pieces(bdpt.lights)
         cells_per_piece = bdpt.lights.rows * bdpt.lights.columns // max(1, pieces)
+        # What roulette makes of it, light paths apply themselves.
+        gain = bdpt.worth.gain if bdpt.worth else 1.0
         lanes = dr.width(position)
         primary = bdpt.primary(position, stream)
         wavelengths, scale = primary.ray.wavelengths, mi.UnpolarizedSpectrum(primary.weight)
@@ -76,7 +78,7 @@ class WalkRecorder:
             chosen_by = bdpt.connector.light_region(vertex.si, direct)
             lit, start = bdpt.connector.connect_light(vertex, chosen_by, walk.stream, direct)
             region = self._regions.region(vertex.si, vertex.si.wi, smooth)
-            worth = bright(vertex.beta) * walk.worth
+            worth = bright(vertex.beta) * (walk.worth / gain)
             importance.add(region, vertex.si.to_world(vertex.si.wi), worth, smooth & (vertex.depth > 1))
             if pieces:
                 piece = start.cell // cells_per_piece
