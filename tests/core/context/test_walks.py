@@ -26,6 +26,15 @@ CRITICAL = 6.5
 ROUNDING = 1e-4
 
 
+class Quarter:
+    """A pixel's worth of 0.25 under a gain, which is roulette's alone."""
+
+    gain = 2.0
+
+    def __call__(self, _: Any) -> float:
+        return 0.25 * self.gain
+
+
 @pytest.fixture(autouse=True)
 def _variant(mi: Any) -> None:
     """What is tested is a module of kernels."""
@@ -191,7 +200,7 @@ def test_photons_give_the_irradiance_of_every_region(mi: Any, kind: adversaries.
 @pytest.mark.parametrize("kind", [None, "random"])
 def test_importance_is_what_the_albedo_leaves(mi: Any, kind: adversaries.Kind | None) -> None:
     """At all vertices but the first; in units of what the pixel is worth."""
-    walks, count = recorder(sphere(mi, "point"), kind, 5, worth=lambda _: 0.25)
+    walks, count = recorder(sphere(mi, "point"), kind, 5, worth=Quarter())
     found = [eye_paths(walks, count, batch)[1].estimate().irradiance.mean() for batch in range(BATCHES)]
     check(found, 0.25 * series(4), bound=0.05)
 
