@@ -13,7 +13,8 @@ from elps_core.errors import SettingsRejected
 from elps_core.settings import RenderSettings, StopCriterion, first_problem, with_overrides
 
 Scene = Annotated[Path, typer.Argument(metavar="SCENE", help="An .xml, a .zip or a folder.")]
-Integrator = Annotated[str | None, typer.Option(help="path, light, bdpt or pssmlt; Mitsuba's own: mi_path ...")]
+Integrator = Annotated[str | None, typer.Option(help="auto, path, light, bdpt or pssmlt; Mitsuba's own: mi_path ...")]
+Preset = Annotated[str | None, typer.Option(help="enlightened or thesis: values for all that is not given.")]
 LightSampling = Annotated[str | None, typer.Option(help="uniform, power or adjoint.")]
 DirectionSampling = Annotated[str | None, typer.Option(help="scattering or context.")]
 Roulette = Annotated[str | None, typer.Option(help="throughput, albedo, context or none.")]
@@ -60,7 +61,12 @@ def settings_from(given: dict[str, Any], size: str | None, assignments: list[str
             values[name] = json.loads(text)
         except ValueError:
             values[name] = text
-    return with_overrides(RenderSettings(), values)
+    preset = values.pop("preset", None)
+    try:
+        start = RenderSettings.model_validate({"preset": preset} if preset else {})
+    except ValidationError as error:
+        raise SettingsRejected(first_problem(error)) from None
+    return with_overrides(start, values)
 
 
 def stop_from(spp: int | None, seconds: float | None, error: float | None) -> StopCriterion:

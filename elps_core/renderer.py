@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.choice import choose
 from elps_core.context.build import start_density
 from elps_core.context.store import GlobalContext
 from elps_core.errors import ContextMismatch, RenderFailed, SettingsRejected
@@ -34,21 +35,23 @@ class Renderer:
     def __init__(self, scene: LoadedScene, settings: RenderSettings, context: GlobalContext | None = None) -> None:
         self.scene = scene
         self.settings = settings
+        self.choice = choose(settings, context.statistics if context else None)
+        """What renders, of what was asked for."""
         self.size = scene.size
         self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
         """What renders frames by one of our own integrators; None for one of Mitsuba's."""
         self._baseline = self._mitsuba_integrator() if self.frames is None else None
 
     def _prepare(self, context: GlobalContext | None) -> make.Frames:
-        settings = self.settings
+        settings = self.choice.settings
         emission = Emission(self.scene.scene)
-        if settings.needs_tables and context is not None and context.directions is None:
-            raise ContextMismatch("the context has no tables: build one with context.regions of 1 or more")
         if settings.needs_context:
             if context is None:
                 raise ContextMismatch("sampling by context needs a context: build one first")
             if context.scene != self.scene.digest:
                 raise ContextMismatch("the context belongs to another scene: build one for this scene")
+            if settings.needs_tables and context.directions is None:
+                raise ContextMismatch("the context has no tables: build one with context.regions of 1 or more")
         if context is not None and settings.light_sampling == "adjoint":
             lights = start_density(context, emission)
         else:

@@ -35,14 +35,28 @@ DEPTH_BASELINES = ("path", "volpath", "volpathmis", "ptracer", "prb", "prbvolpat
 """Mitsuba integrators that take ``max_depth`` and ``rr_depth``."""
 MITSUBA_BASELINES = (*DEPTH_BASELINES, "direct", "depth")
 """Mitsuba integrators that may be named as ``mi_<name>``."""
-INTEGRATORS = (*BUILT_INTEGRATORS, *(f"mi_{name}" for name in MITSUBA_BASELINES))
+INTEGRATORS = ("auto", *BUILT_INTEGRATORS, *(f"mi_{name}" for name in MITSUBA_BASELINES))
 """All that the setting ``integrator`` takes."""
-NOT_BUILT: dict[tuple[str, str], str] = {
-    ("integrator", "auto"): "integrator 'auto' is not built yet: use 'bdpt' or 'mi_path'",
-}
-"""What the contract names and this version refuses, with the line that is shown."""
-
 _STRATEGIES = re.compile(r"^(all|[0-9]{1,3},[0-9]{1,3}( [0-9]{1,3},[0-9]{1,3}){0,255})$")
+PRESETS: dict[str, dict[str, Any]] = {
+    "enlightened": {"integrator": "auto"},
+    "thesis": {
+        "direction_sampling": "context",
+        "table_share": 0.5,
+        "roulette": "context",
+        "rr_depth": 1,
+        "bdpt": {"guided_light": True},
+        "context": {
+            "particles": "metropolis",
+            "regions": 16384,
+            "rows": 16,
+            "columns": 32,
+            "exponent": 1.0,
+            "adaptive": False,
+        },
+    },
+}
+"""Settings by name, which those that are given change: ours, and what the thesis measured [thesis 5.4.3]."""
 VISIBLE = (0, 2)
 """The one strategy (s, t) of bidirectional path tracing for light that the sensor sees directly."""
 _VERTICES = 3
@@ -81,17 +95,19 @@ class ContextSettings(_Model):
     """Cells of a table around."""
     particles: ParticleSource = "walks"
     """What fills the tables: the records that guided eye and light paths leave, or particles of one of three kinds."""
-    paths: Annotated[int, Field(ge=1024, le=2**32)] = 3 * 2**20
+    paths: Annotated[int, Field(ge=1024, le=2**32)] = 2 * 2**20
     """Paths that are traced for the tables, of each kind, unless the tables have converged before."""
     tolerance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05
     """Relative error of the sums of all regions at which no more paths are traced."""
     encoding: TableEncoding = "log8"
     """How a file keeps the tables."""
+    adaptive: bool = True
+    """Whether pilots are measured with the tables, so that renders use these only where they pay."""
 
     def without_tables(self) -> ContextSettings:
         """What the adjoint image alone depends on, so that all who want no more share it."""
         fields = ("resolution", "samples_per_cell", "epsilon", "exponent", "max_depth", "seed")
-        return ContextSettings(regions=0, **{name: getattr(self, name) for name in fields})
+        return ContextSettings(regions=0, adaptive=False, **{name: getattr(self, name) for name in fields})
 
 
 class PathSettings(_Model):
@@ -131,6 +147,8 @@ class BdptSettings(_Model):
 
     eye_paths: Literal[1, 4, 16] = 1
     """Eye paths for each light path. Where light paths help little they should cost little."""
+    guided_light: bool = False
+    """Whether context also guides light paths, where it guides eye paths: dear, and seldom worth it beside those."""
 
     def pairs(self) -> frozenset[tuple[int, int]] | None:
         """The chosen (s, t); None for all."""
@@ -158,11 +176,16 @@ class PssmltSettings(_Model):
 class RenderSettings(_Model):
     """Which image, by which algorithm. Does not say how long: see :class:`StopCriterion`."""
 
+    preset: Annotated[str, Field(json_schema_extra={"enum": sorted(PRESETS)})] | None = None
+    """``enlightened`` or ``thesis``: values for all that is not given."""
     integrator: Annotated[str, Field(json_schema_extra={"enum": list(INTEGRATORS)})] = "bdpt"
-    """``path``, ``light``, ``bdpt`` or ``pssmlt``; or ``mi_<name>`` for an integrator of Mitsuba's own."""
+    """``path``, ``light``, ``bdpt`` or ``pssmlt``; ``auto`` for the best of path and bdpt, plain and enlightened, by
+    pilots; or ``mi_<name>`` for an integrator of Mitsuba's own."""
     light_sampling: LightSampling = "adjoint"
     """Density of the first light vertex and of next event estimation."""
     direction_sampling: DirectionSampling = "scattering"
+    table_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.7
+    """Chance of a direction from the context's table, where directions go by context; a half in the thesis [5.3.3]."""
     roulette: Roulette = "albedo"
     rr_depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] = 5
     """Path depth (segments) from which on Russian roulette may end a walk."""
@@ -182,11 +205,23 @@ class RenderSettings(_Model):
     variant: Variant = "llvm_ad_rgb"
     context: ContextSettings = ContextSettings()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_preset(cls, data: Any) -> Any:
+        name = data.get("preset") if isinstance(data, dict) else None
+        if not isinstance(name, str):
+            return data
+        if name not in PRESETS:
+            known = ", ".join(sorted(PRESETS))
+            raise ValueError(f"unknown preset{_similar(str(name), PRESETS)}: choose one of {known}")
+        merged = dict(PRESETS[name])
+        for field, value in data.items():
+            both = isinstance(value, dict) and isinstance(merged.get(field), dict)
+            merged[field] = merged[field] | value if both else value
+        return merged
+
     @model_validator(mode="after")
     def _check(self) -> RenderSettings:
-        for (field, value), message in NOT_BUILT.items():
-            if getattr(self, field) == value:
-                raise ValueError(message)
         if self.integrator not in INTEGRATORS:
             raise ValueError(
                 f"unknown integrator{_similar(self.integrator, INTEGRATORS)}: choose one of {', '.join(INTEGRATORS)}"
@@ -200,6 +235,8 @@ class RenderSettings(_Model):
                 )
         if self.needs_tables and self.context.regions == 0:
             raise ValueError("context.regions: directions and roulette by context need tables: give 1 or more regions")
+        if self.integrator == "auto" and not self.context.adaptive:
+            raise ValueError("context.adaptive: 'auto' chooses by pilots: leave it on, or name an integrator")
         if (self.width is None) != (self.height is None):
             raise ValueError("give both width and height, or neither")
         return self
@@ -222,7 +259,14 @@ class RenderSettings(_Model):
     @property
     def needs_tables(self) -> bool:
         """Whether the render samples directions, or ends paths, by the context's tables."""
-        return not self.is_baseline and "context" in (self.direction_sampling, self.roulette)
+        by_context = "context" in (self.direction_sampling, self.roulette)
+        return not self.is_baseline and (by_context or self.integrator == "auto")
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether pilots decide what renders: not where a part of the image was asked for."""
+        part = self.integrator == "bdpt" and self.bdpt.strategies != "all"
+        return self.needs_tables and self.context.adaptive and not part
 
     @property
     def measured(self) -> ContextSettings:

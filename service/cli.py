@@ -46,6 +46,7 @@ def serve(
 
 def submit(
     scene: options.Scene,
+    preset: options.Preset = None,
     integrator: options.Integrator = None,
     light_sampling: options.LightSampling = None,
     direction_sampling: options.DirectionSampling = None,
@@ -70,7 +71,8 @@ def submit(
     from service.client import Client
 
     given = {
-        "integrator": integrator,
+        "preset": preset,
+        "integrator": integrator or (None if preset else "auto"),
         "light_sampling": light_sampling,
         "direction_sampling": direction_sampling,
         "roulette": roulette,

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import structlog
 
+from elps_core.choice import choose
+from elps_core.errors import ContextMismatch
 from elps_core.estimate.film import Accumulation, Chunk
 from elps_core.estimate.schedule import chunk_spp
 from worker.advance import ChunkSpp, Decision, decide, eta_seconds, mergeable, publish_due
@@ -85,7 +87,10 @@ class Settler:
         key = None
         if facts.chunks and (decision.finish or publish_due(entry, now, self._parts.settings.publish_seconds)):
             key = publish(self._parts.store, job, image)
-        seen = state.change(id, lambda entry: _changed(entry, facts, key, decision.finish, context, time.time()))
+        choice = self._choice(job) if context == "ready" else None
+        seen = state.change(
+            id, lambda entry: _changed(entry, facts, key, decision.finish, context, choice, time.time())
+        )
         if seen is None:
             return
         if seen.job.state in FINAL_STATES:
@@ -128,6 +133,16 @@ class Settler:
         self._parts.state.set_context(ContextRecord.model_validate_json(stored))
         return "ready"
 
+    def _choice(self, job: Job) -> dict[str, Any] | None:
+        """What the pilots of a job's context say that should render."""
+        record = self._parts.state.context(job.context_digest or "")
+        if record is None or not job.settings.adaptive or job.choice is not None:
+            return None
+        try:
+            return choose(job.settings, record.statistics).report()
+        except ContextMismatch:
+            return None  # the chunks fail, and say so
+
     def _start(self, job: Job, decision: Decision) -> None:
         if decision.build_context and job.context_digest is not None:
             self._parts.offer(job, Work("context", job.context_digest, self._steps_saved(job.context_digest)))
@@ -156,7 +171,13 @@ def _counted(entry: JobEntry, merged: _Merged, now: float) -> JobEntry:
 
 
 def _changed(
-    entry: JobEntry, merged: _Merged, key: str | None, finish: bool, context: ContextState | None, now: float
+    entry: JobEntry,
+    merged: _Merged,
+    key: str | None,
+    finish: bool,
+    context: ContextState | None,
+    choice: dict[str, Any] | None,
+    now: float,
 ) -> Change | None:
     """The job with all that a merge has found, and the events that tell of it; None where nothing is new."""
     before = entry
@@ -171,6 +192,8 @@ def _changed(
     # Chunks may come from another job with the same digest, so that this one never waited for a worker.
     if merged.chunks or (context == "ready" and entry.job.state == "preparing"):
         go("rendering")
+    if choice is not None and entry.job.choice is None:
+        entry = update(entry, choice=choice)
     counted = _counted(entry, merged, now)
     if counted is not entry:
         entry = counted

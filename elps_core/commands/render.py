@@ -31,6 +31,7 @@ RESERVE = 0.95
 def render(
     scene: options.Scene,
     output: Annotated[Path, typer.Option("-o", "--output", help="Where to save the image (EXR).")],
+    preset: options.Preset = None,
     integrator: options.Integrator = None,
     light_sampling: options.LightSampling = None,
     direction_sampling: options.DirectionSampling = None,
@@ -53,6 +54,7 @@ def render(
     """Render one image here, without a server."""
     begin = time.perf_counter()
     given = {
+        "preset": preset,
         "integrator": integrator,
         "light_sampling": light_sampling,
         "direction_sampling": direction_sampling,
@@ -109,11 +111,14 @@ def render(
         "seconds_compile": round(compilation.seconds, 3),
         "spp": merged.spp,
         "context": {"digest": found.digest if found else None, "hit": preparation.hit},
+        "choice": renderer.choice.report(),
         "relative_error": merged.relative_error(),
         "statistics": {name: statistic._asdict() for name, statistic in merged.statistics().items()},
         "warnings": [*loaded.summary.warnings, *unreachable],
         "output": str(output),
     }
+    for line in renderer.choice.lines():
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     relative = figures["relative_error"]
     shown = "unknown" if relative is None else f"{100 * float(str(relative)):.2f}%"
     console.print(

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict, astuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
+from elps_core.choice import PILOTS, Pilot, fit_candidates
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
-from elps_core.context.store import GlobalContext
-from elps_core.context.tables import UNFIT, TableBuilder
+from elps_core.context.pilots import PilotRunner
+from elps_core.context.saved import UNFIT
+from elps_core.context.store import DirectionalParts, GlobalContext
+from elps_core.context.tables import TableBuilder
 from elps_core.errors import ContextMismatch
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.digest import context_digest
@@ -35,15 +41,18 @@ class ContextBuilder:
         camera = Camera(scene.sensor)
         self._adjoint = AdjointMeasurement(scene.scene, camera, Emission(scene.scene), settings)
         self._tables = TableBuilder(scene.scene, camera, settings) if settings.regions else None
+        self._candidates = fit_candidates(scene.summary, settings) if settings.regions and settings.adaptive else []
+        self._pilots: list[Pilot] = []
+        self._parts: DirectionalParts | None = None
         self._seconds = 0.0
-        self.steps = adjoint.STEPS + (self._tables.steps if self._tables else 0)
+        self.steps = adjoint.STEPS + (self._tables.steps if self._tables else 0) + len(self._candidates)
         """Steps in all; some at the end are left out where tables have converged before."""
         self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings)
 
     @property
     def done(self) -> int:
         """Steps taken."""
-        return len(self._adjoint.batches) + (self._tables.done if self._tables else 0)
+        return len(self._adjoint.batches) + (self._tables.done if self._tables else 0) + len(self._pilots)
 
     def step(self) -> None:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`."""
@@ -55,8 +64,25 @@ class ContextBuilder:
             table = adjoint.start_table(
                 measured.image(), measured.emission, self._settings.epsilon, self._settings.exponent
             )
-            self._tables.step(StartDensity(measured.emission, table))
+            lights = StartDensity(measured.emission, table)
+            if self._tables.done < self._tables.steps:
+                self._tables.step(lights)
+            else:
+                runner = PilotRunner(
+                    self._scene.scene,
+                    Camera(self._scene.sensor),
+                    lights,
+                    self._directions(self._tables),
+                    self._settings,
+                )
+                self._pilots.append(runner.run(self._candidates[len(self._pilots)]))
         self._seconds += time.perf_counter() - begin
+
+    def _directions(self, tables: TableBuilder) -> DirectionalParts:
+        """The tables as all that follows will have them: encoded."""
+        if self._parts is None:
+            self._parts = tables.result()
+        return self._parts
 
     def result(self) -> GlobalContext:
         """The context, once all steps are taken.
@@ -68,7 +94,7 @@ class ContextBuilder:
             raise RuntimeError("the context is not finished: take the steps that are left")
         measured = self._adjoint
         flux = measured.batches.sum(axis=(1, 2))
-        statistics = {
+        statistics: dict[str, Any] = {
             "paths": int(self._settings.samples_per_cell * measured.rows * measured.columns),
             "emitters": measured.emission.count,
             "rows": measured.rows,
@@ -78,7 +104,7 @@ class ContextBuilder:
         }
         begin = time.perf_counter()
         tables = self._tables
-        parts = tables.result() if tables else None
+        parts = self._directions(tables) if tables else None
         if tables and parts:
             statistics |= {
                 "particles": tables.particles,
@@ -87,6 +113,8 @@ class ContextBuilder:
                 "records": int(parts.radiance.evidence.sum()),
                 "median_records": float(np.median(parts.radiance.evidence)),
             }
+        if self._candidates:
+            statistics[PILOTS] = [asdict(pilot) for pilot in self._pilots]
         self._seconds += time.perf_counter() - begin
         statistics = {"seconds": round(self._seconds, 3), **statistics}
         return GlobalContext(
@@ -105,6 +133,8 @@ class ContextBuilder:
         parts = {"batches": self._adjoint.batches, "seconds": np.array([self._seconds])}
         if self._tables:
             parts |= {f"tables.{name}": array for name, array in self._tables.arrays().items()}
+        if self._pilots:
+            parts["pilots"] = np.array([astuple(pilot)[1:] for pilot in self._pilots])
         return save_tensors({name: np.ascontiguousarray(array) for name, array in parts.items()})
 
     def restore(self, data: bytes) -> None:
@@ -116,7 +146,9 @@ class ContextBuilder:
         try:
             record = load_tensors(data)
             batches, seconds = record["batches"], float(record["seconds"][0])
-        except (SafetensorError, KeyError, IndexError, ValueError):
+            rows = record.get("pilots", np.zeros((0, 6)))
+            pilots = [_pilot(name, row) for name, row in zip(self._candidates, rows, strict=False)]
+        except (SafetensorError, KeyError, IndexError, TypeError, ValueError):
             raise ContextMismatch(UNFIT) from None
         grid = (self._adjoint.rows, self._adjoint.columns)
         if (
@@ -130,7 +162,12 @@ class ContextBuilder:
             prefix = "tables."
             kept = {name.removeprefix(prefix): part for name, part in record.items() if name.startswith(prefix)}
             self._tables.restore(kept)
-        self._adjoint.batches, self._seconds = batches, seconds
+        self._adjoint.batches, self._seconds, self._pilots = batches, seconds, pilots
+
+
+def _pilot(name: str, row: NDArray[np.float64]) -> Pilot:
+    variance, error, mean, mean_error, microseconds, samples = (float(number) for number in row)
+    return Pilot(name, variance, error, mean, mean_error, microseconds, int(samples))
 
 
 def start_density(context: GlobalContext, emission: Emission) -> StartDensity:

@@ -3,11 +3,14 @@
 An eye path learns how much light came back along each direction that it took, and brings importance to
 every vertex that it visits; a light path brings light. All of it is recorded where it happens, and each
 pass is guided by what the ones before have found.
+
+There are more paths than lanes: a lane begins its next path as soon as one has ended. Lanes run in packets, and
+would else wait for the longest path of each.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -28,9 +31,35 @@ from elps_core.scene.spectrum import luminance, sample_wavelengths
 class _Eye:
     """What an eye walk carries besides its own state."""
 
+    path: mi.UInt32
     found: mi.Float  # Luminance so far
     records: mi.UInt32
     region: mi.UInt32  # By which a light was chosen at the last vertex
+
+
+@dataclass
+class _Light:
+    """What a light walk carries besides its own state."""
+
+    path: mi.UInt32
+    scale: mi.UnpolarizedSpectrum  # Weight of the wavelengths
+
+
+class _Turns:
+    """Shares ``paths`` out among ``lanes``, no more than there are: lane l takes path l, l + lanes, l + 2 lanes ..."""
+
+    def __init__(self, paths: int, lanes: int) -> None:
+        self.paths, self._lanes = dr.opaque(mi.UInt32, paths), dr.opaque(mi.UInt32, lanes)
+        self.first = dr.arange(mi.UInt32, lanes)
+
+    def after(self, path: mi.UInt32, ended: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """The path that follows in lanes that have ``ended`` one, and which of them have one."""
+        following = path + self._lanes
+        return following, ended & (following < self.paths)
+
+    def going(self, state: _Eye | _Light) -> mi.Bool:
+        """Which lanes have a path to finish."""
+        return state.path < self.paths
 
 
 class WalkRecorder:
@@ -52,7 +81,7 @@ class WalkRecorder:
         importance: DirectionalAccumulator,
         lights: mi.Float,
     ) -> mi.Float:
-        """One path per lane from ``position`` on the film; returns the luminance that each has found.
+        """One path from each ``position`` on the film, in the lanes of ``stream``; the luminance that each has found.
 
         Importance counts what a pixel is worth, and is left out at the first vertex: joining light paths to the
         sensor covers that. What light sampling finds is added to ``lights`` [regions * pieces], per unit of throughput.
@@ -62,30 +91,33 @@ class WalkRecorder:
         cells_per_piece = bdpt.lights.rows * bdpt.lights.columns // max(1, pieces)
         # What roulette makes of it, light paths apply themselves.
         gain = bdpt.worth.gain if bdpt.worth else 1.0
-        lanes = dr.width(position)
-        primary = bdpt.primary(position, stream)
-        wavelengths, scale = primary.ray.wavelengths, mi.UnpolarizedSpectrum(primary.weight)
-        stride, lane = dr.opaque(mi.UInt32, lanes), dr.arange(mi.UInt32, lanes)
-        where, what = (dr.empty(mi.Float, bdpt.max_depth * lanes * size) for size in (4, 2))
+        paths, lanes = dr.width(position), dr.width(stream)
+        turns = _Turns(paths, lanes)
+        dr.eval(position, stream)
+        found, records = dr.empty(mi.Float, paths), dr.empty(mi.UInt32, paths)
+        where, what = (dr.empty(mi.Float, bdpt.max_depth * paths * size) for size in (4, 2))
 
-        def bright(value: mi.Spectrum) -> mi.Float:
-            return luminance(mi.UnpolarizedSpectrum(value) * scale, wavelengths)
+        def begin(path: mi.UInt32, stream: Stream, active: mi.Bool) -> Walk:
+            primary = bdpt.primary(dr.gather(mi.Point2f, position, path, active), stream)
+            return bdpt.eye_start(primary, stream)
 
         def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
+            wavelengths = walk.ray.wavelengths
             emitted, _ = bdpt.connector.hit_emitter(walk, vertex, eye.region, active)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             direct = smooth & (vertex.depth < bdpt.max_depth)
             chosen_by = bdpt.connector.light_region(vertex.si, direct)
             lit, start = bdpt.connector.connect_light(vertex, chosen_by, walk.stream, direct)
             region = self._regions.region(vertex.si, vertex.si.wi, smooth)
-            worth = bright(vertex.beta) * (walk.worth / gain)
+            brought = _bright(vertex.beta, wavelengths)
+            worth = brought * (walk.worth / gain)
             importance.add(region, vertex.si.to_world(vertex.si.wi), worth, smooth & (vertex.depth > 1))
             if pieces:
                 piece = start.cell // cells_per_piece
-                amount = bright(lit) / bright(vertex.beta)
+                amount = _bright(lit, wavelengths) / brought
                 some = direct & dr.isfinite(amount) & (amount > 0.0)
                 dr.scatter_reduce(dr.ReduceOp.Add, lights, amount, region * pieces + piece, some)
-            return _Eye(eye.found + bright(emitted + lit), eye.records, chosen_by)
+            return replace(eye, found=eye.found + _bright(emitted + lit, wavelengths), region=chosen_by)
 
         def leave(walk: Walk, vertex: Vertex, event: Scattered, eye: _Eye, active: mi.Bool) -> _Eye:
             # Where the walk ends it has found nothing: that is a record, too.
@@ -94,18 +126,28 @@ class WalkRecorder:
             region = self._regions.region(vertex.si, vertex.si.wi, keep)
             # What the walk finds from here on, over its throughput, is the radiance that comes from there. That it has
             # survived roulette is part of what it finds.
-            factor = dr.abs(dr.dot(vertex.si.n, walk.ray.d)) / (event.pdf * bright(vertex.beta * event.weight))
+            carried = _bright(vertex.beta * event.weight, vertex.si.wavelengths)
+            factor = dr.abs(dr.dot(vertex.si.n, walk.ray.d)) / (event.pdf * carried)
             factor = dr.select(goes_on, factor, 0.0)
-            index = eye.records * stride + lane
+            index = eye.records * turns.paths + eye.path
             dr.scatter(where, mi.Vector4f(*walk.ray.d, dr.reinterpret_array(mi.Float, region)), index, keep)
             dr.scatter(what, mi.Vector2f(factor, eye.found), index, keep)
-            return _Eye(eye.found, eye.records + dr.select(keep, mi.UInt32(1), mi.UInt32(0)), eye.region)
+            return replace(eye, records=eye.records + dr.select(keep, mi.UInt32(1), mi.UInt32(0)))
 
-        eye = random_walk(
+        def renew(walk: Walk, eye: _Eye) -> tuple[Walk, _Eye]:
+            ended = ~walk.active
+            dr.scatter(found, eye.found, eye.path, ended)
+            dr.scatter(records, eye.records, eye.path, ended)
+            path, more = turns.after(eye.path, ended)
+            fresh = _Eye(path, mi.Float(0.0), mi.UInt32(0), mi.UInt32(NOWHERE))
+            return walk.where(more, begin(path, walk.stream, more)), dr.select(ended, fresh, eye)
+
+        nothing = dr.zeros(mi.UInt32, lanes)
+        random_walk(
             bdpt.scene,
-            bdpt.eye_start(primary, stream),
+            begin(turns.first, stream, mi.Bool(True)),
             visit,
-            _Eye(dr.zeros(mi.Float, lanes), dr.zeros(mi.UInt32, lanes), dr.full(mi.UInt32, NOWHERE, lanes)),
+            _Eye(turns.first, dr.zeros(mi.Float, lanes), nothing, dr.full(mi.UInt32, NOWHERE, lanes)),
             side="eye",
             max_depth=bdpt.max_depth,
             roulette=bdpt.roulette,
@@ -113,45 +155,65 @@ class WalkRecorder:
             directions=bdpt.directions,
             label="elps training",
             leave=leave,
+            renew=renew,
+            going=turns.going,
         )
-        dr.eval(eye, where, what, importance.state, lights)
-        number = dr.arange(mi.UInt32, bdpt.max_depth * lanes)
-        slot = number // stride
-        of = number - slot * stride
-        some = slot < dr.gather(mi.UInt32, eye.records, of)
-        place, (factor, before) = (
-            dr.gather(mi.Vector4f, where, number, some),
-            dr.gather(mi.Vector2f, what, number, some),
-        )
-        weight = dr.maximum(dr.gather(mi.Float, eye.found, of, some) - before, 0.0) * factor
+        dr.eval(found, records, where, what, importance.state, lights)
+        number = dr.arange(mi.UInt32, bdpt.max_depth * paths)
+        slot = number // turns.paths
+        path = number - slot * turns.paths
+        some = slot < dr.gather(mi.UInt32, records, path)
+        place = dr.gather(mi.Vector4f, where, number, some)
+        factor, before = dr.gather(mi.Vector2f, what, number, some)
+        weight = dr.maximum(dr.gather(mi.Float, found, path, some) - before, 0.0) * factor
         radiance.add(dr.reinterpret_array(mi.UInt32, place.w), mi.Vector3f(place.x, place.y, place.z), weight, some)
         dr.eval(radiance.state)
-        return eye.found
+        return found
 
-    def light_paths(self, lanes: int, stream: Stream, radiance: DirectionalAccumulator) -> None:
-        """One path per lane from the lights; every vertex is a photon [thesis (5.11)]."""
+    def light_paths(self, paths: int, stream: Stream, radiance: DirectionalAccumulator) -> None:
+        """``paths`` from the lights, in the lanes of ``stream``; every vertex is a photon [thesis (5.11)]."""
         bdpt = self.bdpt
-        wavelengths, scale = sample_wavelengths(stream.next_1d() if mi.is_spectral else mi.Float(0.5))
-        start = bdpt.lights.sample(stream.next_2d(), stream.next_2d(), wavelengths, dr.full(mi.Bool, True, lanes))
+        lanes = dr.width(stream)
+        turns = _Turns(paths, lanes)
 
-        def visit(_: Walk, vertex: Vertex, none: mi.Bool, active: mi.Bool) -> mi.Bool:
+        def begin(path: mi.UInt32, stream: Stream, active: mi.Bool) -> tuple[Walk, _Light]:
+            wavelengths, scale = sample_wavelengths(stream.next_1d() if mi.is_spectral else mi.Float(0.5))
+            active = active & dr.full(mi.Bool, True, lanes)
+            start = bdpt.lights.sample(stream.next_2d(), stream.next_2d(), wavelengths, active)
+            return bdpt.light_start(start, stream), _Light(path, scale)
+
+        def visit(walk: Walk, vertex: Vertex, light: _Light, active: mi.Bool) -> _Light:
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             region = self._regions.region(vertex.si, vertex.si.wi, smooth)
-            weight = luminance(mi.UnpolarizedSpectrum(vertex.beta) * scale, wavelengths)
+            weight = luminance(mi.UnpolarizedSpectrum(vertex.beta) * light.scale, walk.ray.wavelengths)
             # Light that comes straight from a lamp is the business of light sampling.
             radiance.add(region, vertex.si.to_world(vertex.si.wi), weight, smooth & (vertex.depth > 1))
-            return none
+            return light
 
+        def renew(walk: Walk, light: _Light) -> tuple[Walk, _Light]:
+            ended = ~walk.active
+            path, more = turns.after(light.path, ended)
+            fresh, state = begin(path, walk.stream, more)
+            return walk.where(more, fresh), dr.select(ended, state, light)
+
+        walk, light = begin(turns.first, stream, mi.Bool(True))
         random_walk(
             bdpt.scene,
-            bdpt.light_start(start, stream),
+            walk,
             visit,
-            dr.zeros(mi.Bool, lanes),
+            light,
             side="light",
             max_depth=bdpt.max_depth - 1,
             roulette=bdpt.roulette,
             heuristic=bdpt.heuristic,
             directions=bdpt.directions,
             label="elps training by light",
+            renew=renew,
+            going=turns.going,
         )
         dr.eval(radiance.state)
+
+
+def _bright(value: mi.Spectrum, wavelengths: mi.Spectrum) -> mi.Float:
+    """Luminance of what an eye path carries: its throughput starts with the weight of its wavelengths."""
+    return luminance(mi.UnpolarizedSpectrum(value), wavelengths)

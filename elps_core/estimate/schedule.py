@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from elps_core.settings import RenderSettings
 
-FULL_SAMPLES = {"path": 1 << 22, "light": 1 << 22, "bdpt": 1 << 21, "pssmlt": 1 << 21}
+FULL_SAMPLES = {"auto": 1 << 21, "path": 1 << 22, "light": 1 << 22, "bdpt": 1 << 21, "pssmlt": 1 << 21}
 """Samples (of pssmlt: mutations) of a full chunk: on two cores one to three seconds in a Cornell box, and
 three to eight in rooms with more to compute, or at greater depth."""
 BASELINE_SAMPLES = 1 << 22

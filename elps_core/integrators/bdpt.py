@@ -9,7 +9,7 @@ the light path of its lane has stored (s >= 2). What the selection leaves out is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
 
 import drjit as dr
@@ -52,6 +52,7 @@ class _Eye:
 
     radiance: mi.Spectrum
     region: mi.UInt32  # By which a light was chosen at the last vertex
+    sample: mi.UInt32
 
 
 @dataclass
@@ -59,6 +60,55 @@ class _Light:
     """What the light walk carries besides its own state."""
 
     stored: mi.UInt32
+    cell: mi.UInt32  # Where the path started
+    weight: mi.Spectrum  # Of the wavelengths
+    sample: mi.UInt32
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """The samples of a pass: lane l has number l, l + lanes, l + 2 lanes and so on."""
+
+    position: mi.Point2f
+    u_wavelength: mi.Float
+    turns: int
+    count: int
+    lanes: int
+    total: mi.UInt32  # The count, as data of the kernel
+    stride: mi.UInt32
+
+    @staticmethod
+    def of(position: mi.Point2f, turns: int, stream: Stream) -> _Samples:
+        count = dr.width(position)
+        lanes = -(-count // turns)
+        u_wavelength = mi.Float(0.5)
+        if mi.is_spectral:
+            drawn = [stream.next_1d() for _ in range(turns)]
+            # Of the last turn some lanes have no sample.
+            u_wavelength = (
+                drawn[0] if turns == 1 else dr.gather(mi.Float, dr.concat(drawn), dr.arange(mi.UInt32, count))
+            )
+        if turns > 1:
+            dr.eval(position, u_wavelength, stream)
+        return _Samples(
+            position, u_wavelength, turns, count, lanes, dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, lanes)
+        )
+
+    def at(self, sample: mi.UInt32, active: mi.Bool) -> tuple[mi.Point2f, mi.Float]:
+        """Film position of a sample, and the number that chooses its wavelengths."""
+        if self.turns == 1:
+            return self.position, self.u_wavelength
+        u_wavelength = dr.gather(mi.Float, self.u_wavelength, sample, active) if mi.is_spectral else self.u_wavelength
+        return dr.gather(mi.Point2f, self.position, sample, active), u_wavelength
+
+    def after(self, sample: mi.UInt32, ended: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """The next sample of lanes that have ``ended`` one, and which of them have a next one."""
+        following = sample + self.stride
+        return following, ended & (following < self.total)
+
+    def going(self, state: _Eye | _Light) -> mi.Bool:
+        """Which lanes have a sample to finish."""
+        return state.sample < self.total
 
 
 class Bdpt:
@@ -127,78 +177,106 @@ class Bdpt:
         deposit: Deposit | None = None,
         between: Callable[[], None] = lambda: None,
         light_scale: float | None = 1.0,
+        turns: int = 1,
     ) -> tuple[mi.Spectrum, mi.Spectrum]:
-        """One pass over all lanes. Returns the radiance of the eye paths through ``position``.
+        """One pass over all samples. Returns the radiance of the eye paths through ``position``.
 
-        ``position`` holds film positions in pixels relative to the crop window, one per lane, drawn
-        uniformly over the film; ``streams`` the random numbers of the eye and of the light paths.
+        ``position`` holds film positions in pixels relative to the crop window, one per sample, drawn
+        uniformly over the film; ``streams`` the random numbers of the eye and of the light paths, a
+        lane for every ``turns`` samples. A lane begins its next path as soon as one has ended: lanes
+        run in packets, and would else wait for the longest path of each.
         Contributions of light paths go to ``splat``, each per light path over the whole film.
         ``light_scale`` is the number of eye paths for one light path as they are traced, None for eye paths alone.
         ``between`` is called when the light kernel has run and the eye kernel is about to be built.
         """
         eye_stream, light_stream = streams
-        lanes = dr.width(position)
+        samples = _Samples.of(position, turns, eye_stream)
         connector, stored_depth = self.connector, 0 if light_scale is None else self.slots
         scale = dr.opaque(mi.Float, light_scale or 0.0)
-        primary = self.primary(position, eye_stream)
-        wavelengths = primary.ray.wavelengths
-        store = VertexStore(lanes, stored_depth, tangents=connector.surfaces.bends_frames, ratios=self.heuristic.width)
-        cell = mi.UInt32(0)
+        store = VertexStore(
+            samples.count, stored_depth, tangents=connector.surfaces.bends_frames, ratios=self.heuristic.width
+        )
+        cells = mi.UInt32(0)
         if self.strategies.light_paths and self.max_depth >= 2 and light_scale is not None:
-            cell = self._light_walk(light_stream, wavelengths, primary.weight, lanes, store, splat, deposit)
+            cells = self._light_walk(light_stream, samples, store, splat, deposit)
         between()
-        lane = dr.arange(mi.UInt32, lanes)
 
         def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
             emitted, hit_cell = connector.hit_emitter(walk, vertex, eye.region, active)
             if deposit:
-                deposit(hit_cell, emitted, wavelengths, walk.active)
+                deposit(hit_cell, emitted, walk.ray.wavelengths, walk.active)
             radiance = eye.radiance + emitted
             if not self.strategies.next_event or self.max_depth == 1:
-                return _Eye(radiance, eye.region)
+                return _Eye(radiance, eye.region, eye.sample)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             direct = smooth & (vertex.depth < self.max_depth)
             region = connector.light_region(vertex.si, direct)
             lit, start = connector.connect_light(vertex, region, walk.stream, direct)
             if deposit:
-                deposit(start.cell, lit, wavelengths, direct)
+                deposit(start.cell, lit, walk.ray.wavelengths, direct)
             radiance = radiance + lit
             if stored_depth == 0:
-                return _Eye(radiance, region)
+                return _Eye(radiance, region, eye.sample)
 
-            count = dr.gather(mi.UInt32, store.count, lane, smooth)
+            count = dr.gather(mi.UInt32, store.count, eye.sample, smooth)
+            cell = dr.gather(mi.UInt32, cells, eye.sample, smooth) if deposit else mi.UInt32(0)
 
             def join(slot: mi.UInt32, total: mi.Spectrum, more: mi.Bool) -> tuple[mi.UInt32, mi.Spectrum, mi.Bool]:
-                light = store.read(slot, lane, wavelengths, more)
+                light = store.read(slot, eye.sample, walk.ray.wavelengths, more)
                 # Depths grow with the slot: what follows a vertex that is too deep is too deep.
                 more = more & (vertex.depth + light.depth + 1 <= self.max_depth)
                 joined = connector.connect_vertices(vertex, light, more) * scale
                 if deposit:
-                    deposit(cell, joined, wavelengths, more)
+                    deposit(cell, joined, walk.ray.wavelengths, more)
                 return slot + 1, total + joined, more & (slot + 1 < count)
 
-            start_state = (dr.zeros(mi.UInt32, lanes), radiance, smooth & (count > 0))
+            start_state = (dr.zeros(mi.UInt32, samples.lanes), radiance, smooth & (count > 0))
             _, radiance, _ = dr.while_loop(start_state, lambda _s, _t, more: more, join, label="elps connect")
-            return _Eye(radiance, region)
+            return _Eye(radiance, region, eye.sample)
 
+        found = [dr.empty(mi.Float, samples.count if turns > 1 else 0) for _ in range(dr.size_v(mi.Spectrum))]
+
+        def begin(sample: mi.UInt32, stream: Stream, active: mi.Bool) -> Walk:
+            position, u_wavelength = samples.at(sample, active)
+            return self.eye_start(self.primary(position, stream, u_wavelength), stream)
+
+        def renew(walk: Walk, eye: _Eye) -> tuple[Walk, _Eye]:
+            ended = ~walk.active
+            for k, channel in enumerate(found):
+                dr.scatter(channel, eye.radiance[k], eye.sample, ended)
+            sample, more = samples.after(eye.sample, ended)
+            fresh = _Eye(dr.zeros(mi.Spectrum), mi.UInt32(NOWHERE), sample)
+            return walk.where(more, begin(sample, walk.stream, more)), dr.select(ended, fresh, eye)
+
+        first = dr.arange(mi.UInt32, samples.lanes)
+        lanes = samples.lanes
         eye = random_walk(
             self.scene,
-            self.eye_start(primary, eye_stream),
+            begin(first, eye_stream, mi.Bool(True)),
             visit,
-            _Eye(dr.zeros(mi.Spectrum, lanes), dr.full(mi.UInt32, NOWHERE, lanes)),
+            _Eye(dr.zeros(mi.Spectrum, lanes), dr.full(mi.UInt32, NOWHERE, lanes), first),
             side="eye",
             max_depth=self.max_depth if self.strategies.eye_paths else 1,
             roulette=self.roulette,
             heuristic=self.heuristic,
             directions=self.directions,
+            renew=renew if turns > 1 else None,
+            going=samples.going if turns > 1 else None,
             label="elps eye walk",
         )
-        return eye.radiance, wavelengths
+        dr.eval(found)
+        wavelengths = self.primary(position, None, samples.u_wavelength).ray.wavelengths
+        return mi.Spectrum(found) if turns > 1 else eye.radiance, wavelengths
 
-    def primary(self, position: mi.Point2f, stream: Stream) -> PrimaryRay:
-        """The ray through a film position; takes the numbers for its wavelengths and its aperture point."""
-        u_wavelength = stream.next_1d() if mi.is_spectral else mi.Float(0.5)
-        aperture = stream.next_2d() if self.camera.has_aperture else mi.Point2f(0.5)
+    def primary(self, position: mi.Point2f, stream: Stream | None, u_wavelength: mi.Float | None = None) -> PrimaryRay:
+        """The ray through a film position.
+
+        Takes the number for its wavelengths, unless given, and those for its aperture point, which is the middle
+        without ``stream``.
+        """
+        if u_wavelength is None:
+            u_wavelength = stream.next_1d() if stream and mi.is_spectral else mi.Float(0.5)
+        aperture = stream.next_2d() if stream and self.camera.has_aperture else mi.Point2f(0.5)
         return self.camera.sample_ray(position, u_wavelength, aperture)
 
     def eye_start(self, primary: PrimaryRay, stream: Stream) -> Walk:
@@ -213,7 +291,7 @@ class Bdpt:
             depth=dr.zeros(mi.UInt32, lanes),
             offset=primary.offset,
             parallel=dr.full(mi.Bool, self.camera.parallel, lanes),
-            survived=dr.ones(mi.Float, lanes),
+            raised=dr.ones(mi.Float, lanes),
             worth=dr.ones(mi.Float, lanes) * (self.worth(primary.position) if self.worth else 1.0),
             stream=stream,
             active=dr.full(mi.Bool, True, lanes),
@@ -235,66 +313,83 @@ class Bdpt:
             depth=dr.zeros(mi.UInt32, lanes),
             offset=dr.zeros(mi.Float, lanes),
             parallel=point.infinite & dr.full(mi.Bool, True, lanes),
-            survived=dr.ones(mi.Float, lanes),
+            raised=dr.ones(mi.Float, lanes),
             worth=dr.ones(mi.Float, lanes) * (self.worth.gain if self.worth else 1.0),
             stream=stream,
             active=(pdf > 0.0) & (dr.max(radiance) > 0.0),
         )
 
     def _light_walk(
-        self,
-        stream: Stream,
-        wavelengths: mi.Spectrum,
-        wavelength_weight: mi.Spectrum,
-        lanes: int,
-        store: VertexStore,
-        splat: Splat,
-        deposit: Deposit | None,
+        self, stream: Stream, samples: _Samples, store: VertexStore, splat: Splat, deposit: Deposit | None
     ) -> mi.UInt32:
-        """Walk from the lights; fills ``store`` and evaluates it. Returns each lane's start cell."""
-        connector = self.connector
-        start = self.lights.sample(stream.next_2d(), stream.next_2d(), wavelengths, dr.full(mi.Bool, True, lanes))
+        """Walk from the lights; fills ``store`` and evaluates it. Returns each sample's start cell."""
+        connector, lanes = self.connector, samples.lanes
+        cells = dr.empty(mi.UInt32, samples.count if deposit else 0)
 
-        def arrive(seen: mi.Spectrum, sample: SensorSample, active: mi.Bool) -> None:
-            seen = seen * wavelength_weight
-            splat(sample.position, seen, wavelengths, active & sample.valid)
+        def begin(sample: mi.UInt32, stream: Stream, active: mi.Bool) -> tuple[Walk, _Light]:
+            # Both paths of a sample have its wavelengths.
+            position, u_wavelength = samples.at(sample, active)
+            seen = self.primary(position, None, u_wavelength)
+            wavelengths = seen.ray.wavelengths
+            start = self.lights.sample(
+                stream.next_2d(), stream.next_2d(), wavelengths, active & dr.full(mi.Bool, True, lanes)
+            )
+            return self.light_start(start, stream), _Light(
+                dr.zeros(mi.UInt32, lanes), mi.UInt32(start.cell), seen.weight, sample
+            )
+
+        def arrive(seen: mi.Spectrum, sample: SensorSample, walk: Walk, light: _Light, active: mi.Bool) -> None:
+            seen, active = seen * light.weight, active & sample.valid
+            splat(sample.position, seen, walk.ray.wavelengths, active)
             if deposit:
-                deposit(start.cell, seen, wavelengths, active & sample.valid)
+                deposit(light.cell, seen, walk.ray.wavelengths, active)
 
         def visit(walk: Walk, vertex: Vertex, light: _Light, active: mi.Bool) -> _Light:
             if self.strategies.aperture:
-                arrive(*connector.hit_aperture(walk, walk.active), walk.active)
+                arrive(*connector.hit_aperture(walk, walk.active), walk, light, walk.active)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             smooth = smooth & (vertex.depth < self.max_depth)
-            vertex.partial = connector.first_light_vertex(vertex, start, active)
+            vertex.partial = connector.first_light_vertex(vertex, light.cell, active)
             if self.strategies.sensor:
-                arrive(*connector.connect_sensor(vertex, walk.stream, smooth), smooth)
+                arrive(*connector.connect_sensor(vertex, walk.stream, smooth), walk, light, smooth)
             if self.slots == 0:
                 return light
             keep = smooth & (vertex.depth <= self.slots)
-            store.write(light.stored, vertex, keep)
-            return _Light(light.stored + dr.select(keep, mi.UInt32(1), mi.UInt32(0)))
+            store.write(light.stored, light.sample, vertex, keep)
+            return replace(light, stored=light.stored + dr.select(keep, mi.UInt32(1), mi.UInt32(0)))
 
+        def finish(light: _Light, ended: mi.Bool) -> None:
+            dr.scatter(store.count, light.stored, light.sample, ended)
+            if deposit:
+                dr.scatter(cells, light.cell, light.sample, ended)
+
+        def renew(walk: Walk, light: _Light) -> tuple[Walk, _Light]:
+            ended = ~walk.active
+            finish(light, ended)
+            sample, more = samples.after(light.sample, ended)
+            fresh, state = begin(sample, walk.stream, more)
+            return walk.where(more, fresh), dr.select(ended, state, light)
+
+        walk, state = begin(dr.arange(mi.UInt32, lanes), stream, mi.Bool(True))
         light = random_walk(
             self.scene,
-            self.light_start(start, stream),
+            walk,
             visit,
-            _Light(dr.zeros(mi.UInt32, lanes)),
+            state,
             side="light",
             # One segment more may end at the aperture.
             max_depth=self.max_depth if self.strategies.aperture else self.max_depth - 1,
             roulette=self.roulette,
             heuristic=self.heuristic,
             directions=self.directions,
+            renew=renew if samples.turns > 1 else None,
+            going=samples.going if samples.turns > 1 else None,
             label="elps light walk",
         )
-        store.count = light.stored
-        cell = start.cell
-        if deposit:
-            dr.eval(store.data, store.count, cell)
-        else:
-            dr.eval(store.data, store.count)
-        return cell
+        if samples.turns == 1:
+            finish(light, mi.Bool(True))
+        dr.eval(store.data, store.count, cells)
+        return cells
 
     @staticmethod
     def _full(partial: Partial, lanes: int) -> Partial:

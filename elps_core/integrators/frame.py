@@ -10,8 +10,10 @@ import mitsuba as mi
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.paths.stream import Stream
 
-MAX_LANES = 1 << 18
-"""Lanes of one pass; more brings no speed and costs memory."""
+MAX_SAMPLES = 1 << 20
+"""Samples of one pass; more brings no speed and costs memory."""
+LANES = {dr.JitBackend.LLVM: 1 << 13, dr.JitBackend.CUDA: 1 << 18}
+"""Lanes of one pass: enough to keep all processors busy. Each takes one sample after the other."""
 MAX_STORE_BYTES = 1 << 29
 """Bound of the light vertices of one pass: deep paths get fewer lanes."""
 VERTEX_BYTES = 112
@@ -56,15 +58,15 @@ class FrameRenderer:
         """``spp`` samples per pixel from the random streams named by ``key``."""
         # Samples with a light path come first, so that all lanes of a pass do alike.
         lit_spp = -(-spp // self.bdpt.thinning)
-        most = min(MAX_LANES, max(1, MAX_STORE_BYTES // (max(1, self.bdpt.slots) * VERTEX_BYTES)))
+        most = min(MAX_SAMPLES, max(1, MAX_STORE_BYTES // (max(1, self.bdpt.slots) * VERTEX_BYTES)))
         eye, light = self._block(4), self._block(4)
         number = 0
         for count, scale in ((lit_spp, spp / lit_spp), (spp - lit_spp, None)):
             total = self.pixels * count
             passes = -(-total // most)
-            lanes = -(-total // max(1, passes))
-            for first in range(0, total, max(1, lanes)):
-                self._render_pass(min(lanes, total - first), first, (*key, number), scale, eye, light)
+            samples = -(-total // max(1, passes))
+            for first in range(0, total, max(1, samples)):
+                self._render_pass(min(samples, total - first), first, (*key, number), scale, eye, light)
                 dr.eval(eye.tensor(), light.tensor())
                 number += 1
         channels, splats = eye.tensor().array, light.tensor().array
@@ -79,25 +81,27 @@ class FrameRenderer:
 
     def _render_pass(
         self,
-        lanes: int,
+        samples: int,
         first: int,
         key: tuple[int, ...],
         light_scale: float | None,
         eye: mi.ImageBlock,
         light: mi.ImageBlock,
     ) -> None:
+        turns = -(-samples // LANES[dr.backend_v(mi.Float)]) if self.bdpt.max_depth > 1 else 1
+        lanes = -(-samples // turns)
         streams = (Stream.of(lanes, *key, 0), Stream.of(lanes, *key, 1))
-        pixel = (dr.arange(mi.UInt32, lanes) + dr.opaque(mi.UInt32, first)) % self.pixels
+        pixel = (dr.arange(mi.UInt32, samples) + dr.opaque(mi.UInt32, first)) % self.pixels
         row = pixel // int(self.size.x)
         corner = mi.Point2f(mi.Float(pixel - row * int(self.size.x)), mi.Float(row))
-        position = corner + streams[0].next_2d()
+        position = corner + Stream.of(samples, *key, 2).next_2d()
 
         def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
             # Four channels travel as one packet, three would not; most splats are shadowed and stay away.
             rgb = to_rgb(value, wavelengths)
             light.put(where, [*rgb, mi.Float(0.0)], active & dr.any(rgb != 0.0))
 
-        radiance, wavelengths = self.bdpt.trace(position, streams, splat, light_scale=light_scale)
+        radiance, wavelengths = self.bdpt.trace(position, streams, splat, light_scale=light_scale, turns=turns)
         eye.put(position, [*to_rgb(radiance, wavelengths), mi.Float(1.0)])
 
     def coverage(self) -> mi.Float:

@@ -10,7 +10,7 @@ from elps_core.integrators.frame import Frame, FrameRenderer
 from elps_core.integrators.pssmlt import MetropolisFrames
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.strategies import Strategies, chosen
-from elps_core.sampling.context import EYE_SHARE, LIGHT_SHARE, PixelWorth, guided
+from elps_core.sampling.context import PixelWorth, guided
 from elps_core.sampling.direction import SCATTERING, Directions
 from elps_core.sampling.lights import RegionLights
 from elps_core.sampling.start import StartDensity
@@ -44,9 +44,18 @@ def frames(
         SceneRejected: the sensor's type is not supported.
         SettingsRejected: no path can be made of the strategies.
     """
-    camera = Camera(sensor)
+    bdpt = paths_of(scene, Camera(sensor), lights, settings, parts)
+    if settings.integrator == "pssmlt":
+        return MetropolisFrames(bdpt, sensor.film(), settings.pssmlt)
+    return FrameRenderer(bdpt, sensor.film())
+
+
+def paths_of(
+    scene: mi.Scene, camera: Camera, lights: StartDensity, settings: RenderSettings, parts: DirectionalParts | None
+) -> Bdpt:
+    """The paths that ``settings`` ask for; errors as of :func:`frames`."""
     strategies = chosen(settings, aperture=camera.has_aperture)
-    bdpt = Bdpt(
+    return Bdpt(
         scene,
         camera,
         lights,
@@ -59,19 +68,17 @@ def frames(
         region_lights=_region_lights(settings, lights, parts),
         worth=PixelWorth(parts.pilot, parts.noise, camera.size) if parts and settings.roulette == "context" else None,
     )
-    if settings.integrator == "pssmlt":
-        return MetropolisFrames(bdpt, sensor.film(), settings.pssmlt)
-    return FrameRenderer(bdpt, sensor.film())
 
 
 def _directions(settings: RenderSettings, strategies: Strategies, parts: DirectionalParts | None) -> Directions:
     if parts is None:
         return SCATTERING
-    by_table = settings.direction_sampling == "context"
+    share = settings.table_share if settings.direction_sampling == "context" else 0.0
+    guided_light = settings.integrator != "bdpt" or settings.bdpt.guided_light
     return guided(
         parts,
-        eye=(EYE_SHARE if by_table else 0.0) if strategies.eye_paths else None,
-        light=(LIGHT_SHARE if by_table else 0.0) if strategies.light_paths else None,
+        eye=share if strategies.eye_paths else None,
+        light=share if guided_light and strategies.light_paths else None,
     )
 
 

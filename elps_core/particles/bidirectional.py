@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.particles.joining import Branch, Joined, PathJoiner
-from elps_core.particles.records import IMPORTON, PHOTON, ParticleBuffer, Particles
+from elps_core.particles.records import IMPORTON, PHOTON, ParticleBuffer, Particles, Worth, everywhere
 from elps_core.particles.subpaths import Reached, Step, StepStore
 from elps_core.paths.stream import Stream
 from elps_core.sampling.start import StartDensity
@@ -192,10 +192,11 @@ class BidirectionalSampler:
         max_depth: int,
         paths: int,
         first_hits: bool = False,
+        worth: Worth = everywhere,
     ) -> None:
         self.paths = paths
         self._p = chances(max_depth)
-        self._joiner = PathJoiner(scene, camera, lights, max_depth=max_depth)
+        self._joiner = PathJoiner(scene, camera, lights, max_depth=max_depth, worth=worth)
         self._harvest = Harvest(self._p, first_hits=first_hits)
         lanes = max(1, min(paths, MAX_PARTICLES // (2 * max_depth)))
         self._batches = -(-paths // lanes)

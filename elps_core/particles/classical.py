@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 
 from elps_core.integrators.bdpt import Bdpt
-from elps_core.particles.records import IMPORTON, PHOTON, ParticleBuffer, Particles
+from elps_core.particles.records import IMPORTON, PHOTON, ParticleBuffer, Particles, Worth, everywhere
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
@@ -41,6 +41,7 @@ class ClassicalSampler:
         first_hits: keep the importons that the sensor sees directly; connecting light vertices to the
             sensor covers that already.
         roulette: when walks end early.
+        worth: what importance counts by where on the film it comes from.
     """
 
     def __init__(
@@ -53,9 +54,11 @@ class ClassicalSampler:
         paths: int,
         first_hits: bool = False,
         roulette: RouletteRule = ROULETTE,
+        worth: Worth = everywhere,
     ) -> None:
         self.paths = paths
         self.first_hits = first_hits
+        self._worth = worth
         self._walks = Bdpt(scene, camera, lights, max_depth=max_depth, roulette=roulette)
         lanes = max(1, min(paths, MAX_PARTICLES // max_depth))
         self._batches = -(-paths // lanes)
@@ -77,7 +80,7 @@ class ClassicalSampler:
         walks = self._walks
         position = stream.next_2d() * mi.Point2f(walks.camera.size)
         start = walks.eye_start(walks.primary(position, stream), stream)
-        return self._walk(start, mi.UnpolarizedSpectrum(1.0), lanes, IMPORTON)
+        return self._walk(start, mi.UnpolarizedSpectrum(self._worth(position)), lanes, IMPORTON)
 
     def _walk(self, start: Walk, scale: mi.UnpolarizedSpectrum, lanes: int, kind: int) -> Particles:
         """One particle for each vertex; ``scale`` turns what a walk carries into what counts."""

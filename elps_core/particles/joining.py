@@ -13,6 +13,7 @@ import drjit as dr
 import mitsuba as mi
 
 from elps_core.integrators.bdpt import Bdpt
+from elps_core.particles.records import Worth, everywhere
 from elps_core.particles.subpaths import StepStore, Tracked
 from elps_core.paths.connect import SHADOW
 from elps_core.paths.mis import Ratios, Side
@@ -93,11 +94,17 @@ class _Hit:
 
 
 class PathJoiner:
-    """Makes paths of up to ``max_depth`` segments, keeping their vertices in two stores."""
+    """Makes paths of up to ``max_depth`` segments, keeping their vertices in two stores.
 
-    def __init__(self, scene: mi.Scene, camera: Camera, lights: StartDensity, *, max_depth: int) -> None:
+    Importance counts ``worth`` by where on the film it comes from, and so does the target.
+    """
+
+    def __init__(
+        self, scene: mi.Scene, camera: Camera, lights: StartDensity, *, max_depth: int, worth: Worth = everywhere
+    ) -> None:
         self.scene, self.camera, self.lights = scene, camera, lights
         self.max_depth = max_depth
+        self._worth = worth
         self._walks = Bdpt(
             scene,
             camera,
@@ -134,18 +141,20 @@ class PathJoiner:
         wavelengths = primary.ray.wavelengths
         scale = mi.UnpolarizedSpectrum(primary.weight)
 
-        everywhere = dr.full(mi.Bool, True, lanes)
-        start = self.lights.sample(light_stream.next_2d(), light_stream.next_2d(), wavelengths, everywhere)
+        active = dr.full(mi.Bool, True, lanes)
+        start = self.lights.sample(light_stream.next_2d(), light_stream.next_2d(), wavelengths, active)
         first = self._walks.light_start(start, light_stream)
         # What is emitted stays apart from what is scattered: importons do not ask for the light's colour.
         emission, point = self.lights.emission, start.point
-        emitted, cosine = emission.radiance(point, first.ray.d, everywhere)
-        pdf = emission.pdf_direction(point.index, point.delta, cosine, everywhere, infinite=point.infinite)
+        emitted, cosine = emission.radiance(point, first.ray.d, active)
+        pdf = emission.pdf_direction(point.index, point.delta, cosine, active, infinite=point.infinite)
         first.beta = dr.select(first.active, mi.Spectrum(cosine / (start.pdf * pdf)), 0.0)
         light = self._walk(first, s, "light", stores[0], row)
         # The second loop would have the first one's scatters done, and the first walk made again for its end.
         dr.eval(light, emitted, stores[0].data)
-        eye = self._walk(self._walks.eye_start(primary, eye_stream), t, "eye", stores[1], row)
+        seen = self._walks.eye_start(primary, eye_stream)
+        seen.beta = seen.beta * self._worth(position)
+        eye = self._walk(seen, t, "eye", stores[1], row)
         return self._connect(s, t, start, emitted, light, eye, aperture, scale, wavelengths)
 
     def _walk(self, start: Walk, vertices: mi.UInt32, side: Side, store: StepStore, row: mi.UInt32) -> _End:
@@ -212,7 +221,8 @@ class PathJoiner:
         # What both ends make of it: scattering, or else emission and importance.
         at_eye = seen_by_eye(eye_si, eye_si.to_local(direction), ready & ~at_film)
         cos_eye = dr.abs(dr.dot(eye_si.n, direction))
-        to_light = dr.select(at_film, mi.UnpolarizedSpectrum(sample.pdf), mi.UnpolarizedSpectrum(at_eye.value))
+        importance = mi.UnpolarizedSpectrum(sample.pdf * self._worth(sample.position))
+        to_light = dr.select(at_film, importance, mi.UnpolarizedSpectrum(at_eye.value))
         pdf_light = dr.select(at_film, sample.pdf, at_eye.pdf)
 
         cos_light = dr.abs(dr.dot(light_si.n, direction))

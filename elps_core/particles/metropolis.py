@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from elps_core.integrators.metropolis import multiple, resample, shares
 from elps_core.particles.bidirectional import Harvest
 from elps_core.particles.joining import HEAD_NUMBERS, START_NUMBERS, STEP_NUMBERS, Joined, PathJoiner
-from elps_core.particles.records import ParticleBuffer, Particles
+from elps_core.particles.records import ParticleBuffer, Particles, Worth, everywhere
 from elps_core.particles.subpaths import STEP_BYTES, StepStore
 from elps_core.paths.primary import PrimaryStream, commit, stream
 from elps_core.paths.stream import Key, Stream, generator, key_seed, opaque_key
@@ -85,6 +85,7 @@ class MetropolisSampler:
         first_hits: keep importons that the sensor sees directly.
         uniform: let uniform samples count. Without, all particles are of chains and their density is
             that of (5.14) alone, but light and importance of broken paths is missing.
+        worth: what importance, and with it the target, counts by where on the film it comes from.
 
     Raises:
         ValueError: ``max_depth`` is less than 2.
@@ -103,12 +104,13 @@ class MetropolisSampler:
         large_step: float = 0.5,
         first_hits: bool = False,
         uniform: bool = True,
+        worth: Worth = everywhere,
     ) -> None:
         if max_depth < SHORTEST:
             raise ValueError("chains need paths of two segments or more")
         self.iterations, self.large_step, self.uniform = iterations, large_step, uniform
         self._first_hits = first_hits
-        self._joiner = PathJoiner(scene, camera, lights, max_depth=max_depth)
+        self._joiner = PathJoiner(scene, camera, lights, max_depth=max_depth, worth=worth)
         self.groups = max_depth - SHORTEST + 1
         """Lengths of paths; a chain stays in its own."""
         most = MAX_STORE_BYTES // (HALVES * 2 * max_depth * STEP_BYTES)

@@ -12,9 +12,9 @@ source of light there gives to the film.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -32,6 +32,13 @@ DEPTH_BITS = 8
 """Low bits of the word that hold the depth (settings.MAX_DEPTH fits); the rest is the kind."""
 
 Floats = NDArray[np.float32]
+Worth: TypeAlias = "Callable[[mi.Point2f], mi.Float]"
+"""What importance counts at a film position, in pixels relative to the crop window."""
+
+
+def everywhere(position: mi.Point2f) -> mi.Float:  # noqa: ARG001
+    """Importance that counts alike on the whole film."""
+    return mi.Float(1.0)
 
 
 @dataclass(frozen=True)

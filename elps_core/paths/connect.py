@@ -73,12 +73,15 @@ class Connector:
         known = active & ~mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Transmission)
         return dr.select(known, self.directions.region(si, si.wi, known), NOWHERE)
 
-    def first_light_vertex(self, vertex: Vertex, start: Start, active: mi.Bool) -> Partial:
-        """Partial sums of a light vertex that next event estimation would join to a light of its own choice."""
+    def first_light_vertex(self, vertex: Vertex, cell: mi.UInt32, active: mi.Bool) -> Partial:
+        """Partial sums of a light vertex that next event estimation would join to a light of its own choice.
+
+        ``cell`` is where the light path started.
+        """
         if self.region_lights is None:
             return vertex.partial
         first = active & (vertex.depth == 1)
-        ratio = self.region_lights.ratio(self.light_region(vertex.si, first), start.cell, first)
+        ratio = self.region_lights.ratio(self.light_region(vertex.si, first), cell, first)
         return Partial(vertex.partial.dvcm * self.heuristic.power(ratio), vertex.partial.dvc)
 
     def hit_emitter(

@@ -51,8 +51,8 @@ class VertexStore:
         self.data = dr.empty(mi.Float, max(1, lanes * slots) * self.packets * PACKET)
         self.count = dr.zeros(mi.UInt32, lanes)
 
-    def write(self, slot: mi.UInt32, vertex: Vertex, active: mi.Bool) -> None:
-        """Store ``vertex`` of each active lane in its ``slot`` (less than ``slots``)."""
+    def write(self, slot: mi.UInt32, lane: mi.UInt32, vertex: Vertex, active: mi.Bool) -> None:
+        """Store ``vertex`` as that of ``lane`` in ``slot`` (less than ``slots``)."""
         si = vertex.si
         shape = dr.reinterpret_array(mi.UInt32, si.shape)
         packed = dr.reinterpret_array(mi.Float, (shape << DEPTH_BITS) | vertex.depth)
@@ -72,7 +72,7 @@ class VertexStore:
         if self.tangents:
             fields += [*si.dp_du, *si.dp_dv]
         fields += [mi.Float(0.0)] * (self.packets * PACKET - len(fields))
-        base = (slot * self._stride + dr.arange(mi.UInt32, self.lanes)) * self.packets
+        base = (slot * self._stride + lane) * self.packets
         for k in range(self.packets):
             dr.scatter(self.data, mi.Vector4f(fields[PACKET * k : PACKET * (k + 1)]), base + k, active)
 

@@ -26,6 +26,11 @@ Leave: TypeAlias = "Callable[[Walk, Vertex, Scattered, State, mi.Bool], State]"
 """Called when a direction has been chosen, with the walk that will take it (active where it goes on), the vertex that
 it leaves, the event, the caller's state, and which lanes were asked. Returns the new state."""
 
+Renew: TypeAlias = "Callable[[Walk, State], tuple[Walk, State]]"
+"""Called after every step; may put another walk in place of one that has ended, and the state that it starts with."""
+Going: TypeAlias = "Callable[[State], mi.Bool]"
+"""Which lanes have a walk to finish: one that is renewed may be at its end from the start, and others wait for it."""
+
 
 @dataclass
 class Walk:
@@ -38,10 +43,19 @@ class Walk:
     depth: mi.UInt32  # Segments traced so far
     offset: mi.Float  # Distance from the subpath's true start to the ray's origin (near clip)
     parallel: mi.Bool  # Whether the first segment is one of parallel rays, so that its length does not count
-    survived: mi.Float  # Chance to come so far by roulette
+    raised: mi.Float  # How much roulette has raised the throughput, over what the materials have absorbed
     worth: mi.Float  # What a unit of luminance is worth where the path will count, for roulette by context
     stream: Stream
     active: mi.Bool
+
+    def where(self, chosen: mi.Bool, other: Walk) -> Walk:
+        """``other``, which has the same stream, in ``chosen`` lanes, and this walk elsewhere."""
+        fields = {
+            name: dr.select(chosen, getattr(other, name), value)
+            for name, value in vars(self).items()
+            if name != "stream"
+        }
+        return Walk(**fields, stream=self.stream)
 
 
 def random_walk(
@@ -57,6 +71,8 @@ def random_walk(
     label: str,
     directions: Directions = SCATTERING,
     leave: Leave[State] | None = None,
+    renew: Renew[State] | None = None,
+    going: Going[State] | None = None,
 ) -> State:
     """Walk from ``start`` over at most ``max_depth`` segments, calling ``visit`` after each.
 
@@ -76,7 +92,7 @@ def random_walk(
         active = active & walk.active
         return vertex, visit(walk, vertex, state, active), active
 
-    if isinstance(max_depth, int) and max_depth == 1:
+    if isinstance(max_depth, int) and max_depth == 1 and not renew:
         return extend(start, state)[1]
 
     def body(walk: Walk, state: State) -> tuple[Walk, State]:
@@ -92,9 +108,12 @@ def random_walk(
         active = active & ((event.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0))
 
         survival = roulette.survival(beta, eta, event.albedo, vertex.depth)
+        kept = dr.select(vertex.depth >= roulette.start, dr.minimum(dr.max(event.albedo), 1.0), 1.0)
         if roulette.kind == "context":
             value, known = directions.expected(si, direction, cos_out, beta, side, active)
-            survival = roulette.by_worth(value * walk.worth, walk.survived, known, survival)
+            survival = roulette.by_worth(
+                value * walk.worth, walk.raised * kept, known & (vertex.depth >= roulette.start), survival
+            )
         if roulette.kind != "none":
             active = active & (walk.stream.next_1d() < survival)
         after = Walk(
@@ -105,14 +124,17 @@ def random_walk(
             depth=vertex.depth,
             offset=mi.Float(0.0),
             parallel=mi.Bool(False),
-            survived=walk.survived * survival,
+            raised=walk.raised * kept / survival,
             worth=walk.worth,
             stream=walk.stream,
             active=active,
         )
         if leave:
             state = leave(after, vertex, event, state, scattered)
-        return after, state
+        return renew(after, state) if renew else (after, state)
 
-    _, state = dr.while_loop((start, state), lambda walk, _: walk.active, body, label=label)
+    def more(walk: Walk, state: State) -> mi.Bool:
+        return going(state) if going else walk.active
+
+    _, state = dr.while_loop((start, state), more, body, label=label)
     return state

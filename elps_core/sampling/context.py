@@ -12,8 +12,6 @@ from elps_core.context.lookup import RegionLookup
 from elps_core.context.store import DirectionalParts
 from elps_core.sampling.direction import Guide, GuidedDirections
 
-EYE_SHARE, LIGHT_SHARE = 0.6, 0.6
-"""Chance of a direction from the table, of eye and of light paths; a half in the thesis [thesis 5.3.3]."""
 CARE = 8.0
 """What a path is expected to find counts in units of its pixel's noise: the gain is this over the noise."""
 GAINS = (1.0, 32.0)

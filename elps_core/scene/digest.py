@@ -16,9 +16,9 @@ from elps_core.settings import DEPTH_BASELINES, ContextSettings, RenderSettings
 
 SCENE_FORMAT = 1
 """Counts changes of the canonical text."""
-CONTEXT_FORMAT = 3
+CONTEXT_FORMAT = 4
 """Counts changes of a global context's content or file format."""
-RENDER_FORMAT = 3
+RENDER_FORMAT = 4
 """Counts changes of the algorithms that change the image of given settings."""
 
 
@@ -66,7 +66,9 @@ def render_digest(scene: str, settings: RenderSettings, size: tuple[int, int]) -
 
 def _read_by_integrator(settings: RenderSettings) -> dict[str, Any]:
     fields = {"integrator", "sensor", "seed", "variant"}
-    if not settings.is_baseline:
+    if settings.integrator == "auto":  # What it chooses, it chooses whole.
+        fields |= {"max_depth"}
+    elif not settings.is_baseline:
         fields |= {"max_depth", "roulette", "direction_sampling", settings.integrator}
     elif settings.integrator.removeprefix("mi_") in DEPTH_BASELINES:
         fields |= {"max_depth", "roulette"}
@@ -74,6 +76,10 @@ def _read_by_integrator(settings: RenderSettings) -> dict[str, Any]:
         fields |= {"light_sampling", "heuristic"}
     if "roulette" in fields and settings.roulette != "none":
         fields.add("rr_depth")
+    if settings.integrator == "auto":
+        fields |= {"rr_depth", "table_share"}
+    elif "direction_sampling" in fields and settings.direction_sampling == "context":
+        fields.add("table_share")
     values = settings.model_dump(mode="json", include=fields)
     if settings.needs_context:
         values["context"] = settings.measured.model_dump(mode="json")

@@ -53,7 +53,7 @@ def check(summary: SceneSummary, settings: RenderSettings) -> None:
     Raises:
         SettingsRejected: so it is; what to change.
     """
-    if settings.is_baseline:
+    if settings.is_baseline or settings.integrator == "auto":  # which takes nothing that would
         return
     chosen = strategies.chosen(settings, aperture=_has_aperture(summary, settings))
     if chosen.light_paths and ONE_WAY & set(summary.bsdfs):
@@ -71,8 +71,7 @@ def unreachable(summary: SceneSummary, settings: RenderSettings) -> tuple[str, .
     if settings.integrator in _OTHER_BASELINES:
         return ()
     used = set(summary.bsdfs)
-    singular = used & (MIRRORS if settings.integrator in _THROUGH_NULL else MIRRORS | STRAIGHT)
-    surfaces = "D" * bool(used - NEVER_SCATTER) + "S" * bool(singular)
+    singular, surfaces = _surfaces(used, settings)
     chosen = _strategies(summary, settings)
     if chosen.shown is not None:
         return ()  # a part of the image was asked for
@@ -95,6 +94,22 @@ def unreachable(summary: SceneSummary, settings: RenderSettings) -> tuple[str, .
     return tuple(lines)
 
 
+def lost(summary: SceneSummary, settings: RenderSettings) -> int:
+    """The same as a number, to compare integrators by: 0 where all light is found, more for wider kinds of paths."""
+    _, surfaces = _surfaces(set(summary.bsdfs), settings)
+    chosen = _strategies(summary, settings)
+    kinds = [_loss(chosen, emitter.type, surfaces, settings.max_depth) for emitter in summary.emitters]
+    return sum(_BY_WIDTH.index(kind) for kind in kinds)
+
+
+def _surfaces(used: set[str], settings: RenderSettings) -> tuple[set[str], str]:
+    """Materials of single directions, and the letters of all."""
+    singular = used & (MIRRORS if settings.integrator in _THROUGH_NULL else MIRRORS | STRAIGHT)
+    return singular, "D" * bool(used - NEVER_SCATTER) + "S" * bool(singular)
+
+
+_BY_WIDTH = (None, "both", "sent", "seen", "all")
+"""Losses of one emitter, each wider than the one before."""
 _LOSSES = {
     "all": "finds no light of {lights}, which no path meets by chance: set path.next_event=true, or choose bdpt",
     "seen": "does not find light of {lights} that the camera sees in or through {surfaces}: choose path or bdpt",
@@ -139,6 +154,8 @@ def _strategies(summary: SceneSummary, settings: RenderSettings) -> Strategies:
     if settings.integrator == "mi_ptracer":
         return strategies.light()
     if settings.is_baseline:
+        return strategies.path()
+    if settings.integrator == "auto" and ONE_WAY & set(summary.bsdfs):
         return strategies.path()
     return strategies.chosen(settings, aperture=_has_aperture(summary, settings))
 

@@ -63,7 +63,7 @@ def test_a_context_is_needed_where_lights_are_sampled() -> None:
 @pytest.mark.parametrize(
     ("assignments", "line"),
     [
-        (["integrator=psmlt"], "unknown integrator (did you mean 'pssmlt'?): choose one of path, light, bdpt, pssmlt"),
+        (["integrator=psmlt"], "unknown integrator (did you mean 'pssmlt'?): choose one of auto, path, light, bdpt"),
         (["integrator=mi_pth"], "did you mean 'mi_path'?"),
         (["heuristik=power"], "unknown setting 'heuristik' (did you mean 'heuristic'?)"),
         (["path.next_events=true"], "unknown setting 'path.next_events' (did you mean 'path.next_event'?)"),
@@ -95,3 +95,16 @@ def test_settings_of_other_algorithms_are_no_mistake() -> None:
     assert RenderSettings.model_validate(settings).max_depth == 2
     with pytest.raises(ValidationError, match="is none"):
         RenderSettings.model_validate(settings | {"integrator": "bdpt"})
+
+
+def test_a_preset_fills_what_is_not_given() -> None:
+    thesis = settings_from({"preset": "thesis", "integrator": "path"}, None, ["context.rows=8"])
+    assert (thesis.integrator, thesis.direction_sampling, thesis.table_share) == ("path", "context", 0.5)
+    context = thesis.context
+    assert (context.particles, context.regions, context.rows, context.columns) == ("metropolis", 16384, 8, 32)
+    assert not thesis.adaptive
+    assert RenderSettings.model_validate({"preset": "thesis", "context": {"regions": 9}}).context.regions == 9
+    assert RenderSettings.model_validate_json(thesis.model_dump_json()) == thesis
+    assert settings_from({"preset": "enlightened"}, None, None).integrator == "auto"
+    with pytest.raises(SettingsRejected, match="did you mean 'thesis'"):
+        settings_from({"preset": "thesus"}, None, None)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from elps_core.choice import CANDIDATES
 from elps_core.io.exr import read_exr
 from elps_core.settings import ContextSettings, RenderSettings, StopCriterion
 from service.client import Client, ServiceError
@@ -259,3 +260,22 @@ def test_everything_ends_with_a_killed_service(tmp_path: Path, room: Path) -> No
         assert_gone(family, 30.0)
         with pytest.raises(ServiceError, match="no service answers"):
             client.workers()
+
+
+def test_pilots_choose_what_renders_and_serve_the_next_job(http: httpx.Client, client: Client, scene: str) -> None:
+    """Nobody names an integrator; the tables and the pilots of one job are those of the next."""
+    context = {"resolution": 8, "samples_per_cell": 16, "regions": 16, "rows": 8, "columns": 16, "paths": 1 << 15}
+    jobs = []
+    for seed in (4, 5):
+        settings = {"max_depth": 4, "seed": seed, "context": context}
+        body = {"scene": scene, "settings": settings, "stop": {"samples": 8}}
+        id_ = http.post("/v1/jobs", json=body).json()["id"]
+        assert "completed" in [event.data.get("state") for event in client.follow(id_)]
+        jobs.append(http.get(f"/v1/jobs/{id_}").json())
+    first, second = jobs
+    assert first["settings"]["integrator"] == "auto"
+    assert [entry["name"] for entry in first["choice"]["pilots"]] == list(CANDIDATES)
+    assert first["choice"]["name"] in CANDIDATES
+    assert (first["context_hit"], second["context_hit"]) == (False, True)
+    assert second["choice"] == first["choice"]
+    assert client.image(second["id"]) is not None

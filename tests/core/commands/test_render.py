@@ -15,6 +15,7 @@ from elps_core.io.exr import read_exr
 
 CONTRACT = {"seconds_total", "seconds_context", "seconds_compile", "spp", "context", "relative_error", "output"} | {
     "statistics",
+    "choice",
     "warnings",
 }
 
@@ -134,7 +135,7 @@ def test_a_relative_error_ends_the_render(maze: Path, tmp_path: Path) -> None:
     ("options", "word"),
     [
         (["--integrator", "nothing"], "unknown integrator"),
-        (["--integrator", "auto"], "not built yet"),
+        (["--integrator", "auto", "--set", "context.adaptive=false"], "chooses by pilots"),
         (["--integrator", "psmlt"], "did you mean 'pssmlt'"),
         (["--heuristic", "best"], "heuristic"),
         (["--integrator", "light", "--set", "light.connect=false"], "thinlens"),

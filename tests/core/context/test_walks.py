@@ -11,13 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from elps_core import device
 from tests import adversaries
 from tests.core.integrators.test_analytic import ALBEDO, sphere
 
 Array = np.ndarray[Any, Any]
 
 GRID = (8, 16)
-LANES = 1 << 15
+PATHS = (1 << 15) - 3
+LANES = -(-PATHS // 8)
+"""Lanes take eight paths each, some of them seven."""
 BATCHES = 8
 POINTS = 1 << 22
 """Points by which areas are known to 0.3%."""
@@ -96,19 +99,24 @@ def accumulators(count: int, number: int) -> list[Any]:
     return [DirectionalAccumulator(count, *GRID) for _ in range(number)]
 
 
-def eye_paths(walks: Any, count: int, batch: int) -> tuple[Any, Any]:
-    """Accumulators of radiance and importance after :data:`LANES` eye paths."""
+def film_paths(walks: Any, batch: int, radiance: Any, importance: Any, lanes: int = LANES) -> tuple[Any, Any]:
+    """Takes :data:`PATHS` eye paths; returns where on the film they begin, and the luminance that each has found."""
     import drjit as dr
     import mitsuba as mi
 
     from elps_core.paths.stream import Stream
 
+    position = Stream.of(PATHS, 1, batch, 0).next_2d() * mi.Point2f(walks.bdpt.camera.size)
+    lights = dr.zeros(mi.Float, radiance.regions)
+    return position, walks.eye_paths(position, Stream.of(lanes, 1, batch, 1), radiance, importance, lights)
+
+
+def eye_paths(walks: Any, count: int, batch: int, lanes: int = LANES) -> tuple[Any, Any]:
+    """Accumulators of radiance and importance after :data:`PATHS` eye paths."""
     radiance, importance = accumulators(count, 2)
-    stream = Stream.of(LANES, 1, batch)
-    position = stream.next_2d() * mi.Point2f(walks.bdpt.camera.size)
-    walks.eye_paths(position, stream, radiance, importance, dr.zeros(mi.Float, count))
+    film_paths(walks, batch, radiance, importance, lanes)
     radiance.close_batch()
-    importance.close_batch(np.full(count, LANES / count))
+    importance.close_batch(np.full(count, PATHS / count))
     return radiance, importance
 
 
@@ -131,7 +139,7 @@ def test_irradiance_by_eye_paths(mi: Any, depth: int) -> None:
     walks, count = recorder(sphere(mi, "point"), None, depth)
     radiance, _ = eye_paths(walks, count, 0)
     expected = np.mean([series(depth - 1 - vertex) for vertex in range(1, depth)])
-    assert radiance.visits.sum() == LANES * (depth - 1), "each vertex that a path leaves is a record"
+    assert radiance.visits.sum() == PATHS * (depth - 1), "each vertex that a path leaves is a record"
     # Any two points of a sphere see each other under the same geometry factor: no noise at all.
     assert mean_irradiance(radiance) == pytest.approx(np.pi * expected, rel=ROUNDING)
 
@@ -166,10 +174,10 @@ def test_irradiance_whatever_guides_the_paths(
     shorter, _ = recorder(scene, kind, 2, roulette)
     found, expected = [], []
     for batch in range(BATCHES):
-        found.append(mean_irradiance(eye_paths(walks, count, batch)[0]))
-        # The same random numbers: how many of the paths come to a second vertex.
-        second = eye_paths(shorter, count, batch)[1].visits.sum()
-        expected.append(np.pi * albedo * LANES / (LANES + second))
+        found.append(mean_irradiance(eye_paths(walks, count, batch, PATHS)[0]))
+        # The same random numbers, a lane for each path: how many of the paths come to a second vertex.
+        second = eye_paths(shorter, count, batch, PATHS)[1].visits.sum()
+        expected.append(np.pi * albedo * PATHS / (PATHS + second))
     check(found, expected, bound=0.05)
 
 
@@ -185,8 +193,8 @@ def test_photons_give_the_irradiance_of_every_region(mi: Any, kind: adversaries.
     found = []
     for batch in range(BATCHES):
         (photons,) = accumulators(count, 1)
-        walks.light_paths(LANES, Stream.of(LANES, 2, batch), photons)
-        photons.close_batch(LANES * areas)
+        walks.light_paths(PATHS, Stream.of(LANES, 2, batch), photons)
+        photons.close_batch(PATHS * areas)
         found.append(photons.estimate().irradiance)
     expected = np.pi * series(4)
     check([each @ areas / (4.0 * np.pi) for each in found], expected)
@@ -207,22 +215,83 @@ def test_importance_is_what_the_albedo_leaves(mi: Any, kind: adversaries.Kind | 
 
 def test_both_say_where_light_comes_from(mi: Any) -> None:
     """Tables by eye and by light paths differ by noise alone."""
-    import drjit as dr
-
     from elps_core.paths.stream import Stream
 
     walks, count = recorder(sphere(mi, "point"), None, 6)
     eye, light, importance = accumulators(count, 3)
     for batch in range(4):
-        stream = Stream.of(LANES, 3, batch)
-        position = stream.next_2d() * mi.Point2f(walks.bdpt.camera.size)
-        walks.eye_paths(position, stream, eye, importance, dr.zeros(mi.Float, count))
-        walks.light_paths(LANES, Stream.of(LANES, 4, batch), light)
+        film_paths(walks, batch, eye, importance)
+        walks.light_paths(PATHS, Stream.of(LANES, 4, batch), light)
         eye.close_batch()
-        light.close_batch(np.full(count, float(LANES)))
+        light.close_batch(np.full(count, float(PATHS)))
     first, second = eye.estimate(), light.estimate()
     both = (eye.evidence > 1000) & (light.evidence > 1000)
     tables = [np.array(part.shares).reshape(count, -1)[both] for part in (first, second)]
     noise = (first.noise + second.noise)[both].sum()
     assert np.square(tables[0] - tables[1]).sum() < 2.0 * noise
     assert noise < 0.05 * np.square(tables[0]).sum(), "too noisy to tell"
+
+
+def lamp(mi: Any, radiance: Array, **of_shape: Any) -> dict[str, Any]:
+    """A square that emits ``radiance`` [rows, columns] on the side that its normal, +z, is on."""
+    pixels = np.repeat(radiance[:, :, None], 3, axis=2).astype(np.float32)
+    texture = {"type": "bitmap", "raw": True, "filter_type": "nearest", "bitmap": mi.Bitmap(pixels)}
+    return {"type": "rectangle", "emitter": {"type": "area", "radiance": texture}, **of_shape}
+
+
+def test_a_path_finds_what_its_own_pixel_shows(mi: Any) -> None:
+    """Nothing but a lamp that half fills the film: each path is told apart by where it begins."""
+    place = mi.ScalarTransform4f
+    sensor = {
+        "type": "orthographic",
+        "to_world": place().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0]) @ place().scale([2.0, 2.0, 1.0]),
+        "film": {"type": "hdrfilm", "width": 16, "height": 16},
+    }
+    scene = mi.load_dict({"type": "scene", "sensor": sensor, "lamp": lamp(mi, np.arange(1.0, 5.0).reshape(2, 2))})
+    walks, count = recorder(scene, None, 3)
+    position, found = film_paths(walks, 0, *accumulators(count, 2))
+    position, found = np.array(position).T, np.array(found)
+    seen = ((position > 4.0) & (position < 12.0)).all(axis=1)
+    assert seen.mean() == pytest.approx(0.25, abs=0.02)
+    assert (found[~seen] == 0.0).all()
+    quarter = (position[:, 1] > 8.0) * 2 + (position[:, 0] > 8.0)
+    shown = [np.unique(found[seen & (quarter == number)]) for number in range(4)]
+    assert sorted(np.concatenate(shown)) == pytest.approx([1.0, 2.0, 3.0, 4.0]), "one brightness in each quarter"
+
+
+def test_a_path_that_starts_in_the_dark_holds_up_no_other(mi: Any) -> None:
+    """Three quarters of a lamp in a sphere are black: no light path starts there, and its lane takes the next one."""
+    from elps_core.paths.stream import Stream
+
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "sensor": sphere(mi, "point").sensors()[0],
+            "shape": {"type": "sphere", "flip_normals": True, "bsdf": {"type": "diffuse"}},
+            "lamp": lamp(mi, np.array([[1.0, 0.0], [0.0, 0.0]]), to_world=mi.ScalarTransform4f().scale(0.1)),
+        }
+    )
+    walks, count = recorder(scene, None, 4)
+    (photons,) = accumulators(count, 1)
+    walks.light_paths(PATHS, Stream.of(LANES, 1), photons)
+    photons.close_batch(PATHS)
+    # Photons of the second and of the third segment, of a quarter of all paths.
+    drawn = photons.visits.sum() / (2 * PATHS)
+    assert drawn == pytest.approx(0.25, abs=5.0 * np.sqrt(0.25 * 0.75 / PATHS) + 0.01)
+
+
+def test_wavelengths_count_once() -> None:
+    """In a spectral variant they have a weight, with which eye paths begin."""
+    mi = device.use("llvm_ad_spectral")
+    from elps_core.paths.stream import Stream
+    from elps_core.scene.spectrum import luminance
+
+    walks, count = recorder(sphere(mi, "area"), None, 3)
+    found, expected = [], []
+    for batch in range(BATCHES):
+        position, luminances = film_paths(walks, batch, *accumulators(count, 2))
+        found.append(np.array(luminances).mean(dtype=float))
+        streams = (Stream.of(PATHS, 2, batch), Stream.of(1, 3, batch))
+        radiance, wavelengths = walks.bdpt.trace(position, streams, lambda *_: None, light_scale=None)
+        expected.append(np.array(luminance(mi.UnpolarizedSpectrum(radiance), wavelengths)).mean(dtype=float))
+    check(found, expected)

@@ -26,7 +26,7 @@ CHOICE = {
     "bdpt": [name for name in ZOO if name not in {"maze", "hair", *COVERED}],
     "pssmlt": ["envmap", "thinlens-wide"],
 }
-MORE = {"path": 2.0, "path pure": 4.0, "light": 4.0, "light pure": 40.0, "bdpt": 1.0, "pssmlt": 5.0}
+MORE = {"path": 2.0, "path pure": 4.0, "light": 6.0, "light pure": 70.0, "bdpt": 1.2, "pssmlt": 5.0}
 """Samples of an algorithm, as a multiple of those of bdpt."""
 BOUND = 0.02
 CASES = [(name, algorithm) for name in ZOO for algorithm in ALGORITHMS if name in CHOICE[algorithm]]

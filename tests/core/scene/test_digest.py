@@ -114,6 +114,7 @@ ASKED = {
     "heuristic": "balance",
     "light_sampling": "power",
     "direction_sampling": "context",
+    "table_share": 0.5,
     "roulette": "throughput",
     "rr_depth": 9,
     "max_depth": 9,
@@ -139,6 +140,8 @@ OURS = {*ALWAYS, "direction_sampling", "roulette", "rr_depth", "max_depth", "lig
             {"integrator": "path", "path": {"next_event": False}},
             {*OURS, "path"} - {"light_sampling", "heuristic", "context"},
         ),
+        ({"integrator": "path", "direction_sampling": "context"}, {*OURS, "path", "table_share"}),
+        ({"integrator": "auto"}, {*OURS, "table_share"} - {"direction_sampling", "roulette"}),
         ({"integrator": "light"}, {*OURS, "light"}),
         ({"integrator": "bdpt"}, {*OURS, "bdpt"}),
         ({"integrator": "bdpt", "light_sampling": "uniform"}, {*OURS, "bdpt"} - {"context"}),
@@ -151,10 +154,11 @@ OURS = {*ALWAYS, "direction_sampling", "roulette", "rr_depth", "max_depth", "lig
     ],
 )
 def test_what_an_integrator_does_not_read_does_not_enter(base: dict[str, Any], entering: set[str]) -> None:
-    assert set(ASKED) | {"integrator", "width", "height"} == set(RenderSettings.model_fields)
+    assert set(ASKED) | {"integrator", "width", "height", "preset"} == set(RenderSettings.model_fields)
     digests = {}
     for name, other in ASKED.items():
-        value = {"next_event": True} if base.get(name) == other else other
+        same = {"path": {"next_event": True}, "direction_sampling": "scattering"}
+        value = same[name] if base.get(name) == other else other
         digests[name] = render_digest(SCENE, RenderSettings(**{**base, name: value}), (4, 3))
     plain = render_digest(SCENE, RenderSettings(**base), (4, 3))
     assert {name for name, digest in digests.items() if digest != plain} == entering

@@ -1,0 +1,164 @@
+"""Which algorithm renders: as asked for, or the one that pilots have shown to be the best [no regret].
+
+Pilots are measured with a scene's context and kept in it, so that all its renders choose alike, on
+whatever machine. Their samples enter no image: a choice by the samples themselves would be biased.
+Imports no Mitsuba.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from math import isfinite
+from typing import Any
+
+from elps_core.errors import ContextMismatch, SettingsRejected
+from elps_core.scene import reach
+from elps_core.scene.summary import SceneSummary
+from elps_core.settings import BdptSettings, ContextSettings, PathSettings, RenderSettings, with_overrides
+
+PLAIN = {"direction_sampling": "scattering", "roulette": "albedo"}
+"""What an algorithm does without the context's tables."""
+ENLIGHTENED = {"direction_sampling": "context", "roulette": "context"}
+"""What it does with them."""
+CANDIDATES: dict[str, dict[str, Any]] = {
+    "path, plain": {"integrator": "path", **PLAIN},
+    "path, enlightened": {"integrator": "path", **ENLIGHTENED},
+    "bdpt, plain": {"integrator": "bdpt", **PLAIN},
+    "bdpt, enlightened": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.guided_light": True},
+    "bdpt, enlightened, 4 eye paths": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.eye_paths": 4},
+    "bdpt, enlightened, 16 eye paths": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.eye_paths": 16},
+}
+"""What pilots compare, and ``auto`` chooses from."""
+BY_EYE_PATHS = {
+    1: "bdpt, enlightened",
+    4: "bdpt, enlightened, 4 eye paths",
+    16: "bdpt, enlightened, 16 eye paths",
+}
+SIGMAS = 3.0
+"""Standard errors by which a mean may be off."""
+LEAST = 1e-12
+"""Of variance times microseconds: a black image has none."""
+PILOTS = "pilots"
+"""Their name among a context's statistics."""
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What some samples said of a candidate."""
+
+    name: str
+    variance: float
+    """Of one sample per pixel, over the square of a blurred image fixed beforehand; mean over the film."""
+    error: float
+    """Standard error of the variance."""
+    mean: float
+    """Of the samples, over the same image."""
+    mean_error: float
+    """Its standard error."""
+    microseconds: float
+    """Of one sample."""
+    samples: int
+
+    @property
+    def efficiency(self) -> float:
+        """1 / (variance time), time in seconds."""
+        return 1e6 / max(self.variance * self.microseconds, LEAST)
+
+    def against(self, pilots: Iterable[Pilot]) -> Pilot:
+        """This pilot with the variance that it is known to have: with that of light that it has not met.
+
+        What others certainly find, and this one has not in n samples, it finds with less than about one in n: the
+        variance is then n times the square of the light that is missing, at least.
+        """
+        certain = max(pilot.mean - SIGMAS * pilot.mean_error for pilot in pilots)
+        missing = max(0.0, certain - self.mean - SIGMAS * self.mean_error)
+        return replace(self, variance=self.variance + missing**2 * self.samples)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What renders, and why."""
+
+    settings: RenderSettings
+    name: str | None
+    """The candidate that was chosen; None where there was nothing to choose."""
+    pilots: tuple[Pilot, ...] = ()
+
+    def report(self) -> dict[str, Any] | None:
+        """The choice and its evidence, for JSON; None where there was nothing to choose."""
+        if self.name is None:
+            return None
+        pilots = [asdict(pilot) | {"efficiency": pilot.efficiency} for pilot in self.pilots]
+        return {"name": self.name, PILOTS: pilots}
+
+    def lines(self) -> list[str]:
+        """The same for people: one line, with the efficiencies relative to the best one."""
+        if self.name is None:
+            return []
+        most = max(pilot.efficiency for pilot in self.pilots)
+        shares = ", ".join(f"{pilot.name} {pilot.efficiency / most:.2f}" for pilot in self.pilots)
+        return [f"rendered by {self.name} (efficiency in pilots: {shares})"]
+
+
+def fit_candidates(summary: SceneSummary, settings: ContextSettings) -> list[str]:
+    """Candidates that find all light of a scene that any of them finds: pilots do not see what is lost."""
+    whole = RenderSettings(integrator="bdpt", max_depth=settings.max_depth, context=settings)
+    losses: dict[str, int] = {}
+    for name in CANDIDATES:
+        try:
+            reach.check(summary, candidate(whole, name))
+        except SettingsRejected:
+            continue
+        losses[name] = reach.lost(summary, candidate(whole, name))
+    return [name for name, loss in losses.items() if loss == min(losses.values())]
+
+
+def candidate(settings: RenderSettings, name: str) -> RenderSettings:
+    """``settings`` as the candidate ``name`` renders them."""
+    open_settings = settings.model_copy(update={"path": PathSettings(), "bdpt": BdptSettings(), "integrator": "bdpt"})
+    return with_overrides(open_settings, {**CANDIDATES[name], "context.adaptive": False})
+
+
+def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Choice:
+    """What renders ``settings``, by the statistics of the context.
+
+    ``auto`` takes the candidate of the greatest efficiency. An integrator that is named takes its plain form where
+    that was more efficient in pilots than its enlightened one.
+
+    Raises:
+        ContextMismatch: there is something to choose and there are no pilots.
+    """
+    if not settings.adaptive:
+        return Choice(settings, None)
+    pilots = _pilots(statistics or {})
+    if settings.integrator == "auto":
+        best = max(pilots, key=lambda pilot: pilot.efficiency)
+        return Choice(candidate(settings, best.name), best.name, pilots)
+    efficiency = {pilot.name: pilot.efficiency for pilot in pilots}
+    plain, enlightened = _forms(settings)
+    if efficiency.get(enlightened, 0.0) >= efficiency.get(plain, 0.0):
+        return Choice(settings, f"{settings.integrator}, enlightened", pilots)
+    changes: dict[str, Any] = {**PLAIN, "context.adaptive": False}
+    if settings.roulette != "context":
+        del changes["roulette"]
+    return Choice(with_overrides(settings, changes), f"{settings.integrator}, plain", pilots)
+
+
+def _forms(settings: RenderSettings) -> tuple[str, str]:
+    """The candidates, plain and enlightened, that speak for a named integrator: chains walk over samples of bdpt."""
+    if settings.integrator == "path":
+        return "path, plain", "path, enlightened"
+    return "bdpt, plain", BY_EYE_PATHS[settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1]
+
+
+def _pilots(statistics: Mapping[str, Any]) -> tuple[Pilot, ...]:
+    try:
+        pilots = tuple(Pilot(**entry) for entry in statistics[PILOTS])
+        pilots = tuple(pilot.against(pilots) for pilot in pilots)
+        fit = pilots and all(p.name in CANDIDATES and isfinite(p.efficiency) for p in pilots)
+    except (KeyError, TypeError):
+        fit = False
+    if not fit:
+        raise ContextMismatch("the context has no pilots to choose by: build it with context.adaptive on")
+    return pilots

@@ -1,0 +1,91 @@
+"""The pilot image: what the paths that fill tables have found of the image, small and blurred."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from elps_core.context.lookup import RegionLookup
+from elps_core.context.regions import Regions
+from elps_core.sampling.direction import GuidedDirections
+from elps_core.scene.sensors import Camera
+
+Doubles = NDArray[np.float64]
+
+SIDE = 96
+"""Longer side in pixels."""
+LEAST_PATHS = 1e-9
+"""Of a pixel, so that one without any is black."""
+NO_REGION = np.iinfo(np.uint16).max
+"""What the view holds where no surface is seen."""
+
+
+class PilotImage:
+    """Sums by pixel of what eye paths have found, for a film of ``size`` pixels.
+
+    Its resolution is its own: the longer side has :data:`SIDE` pixels.
+    """
+
+    def __init__(self, size: mi.ScalarVector2u) -> None:
+        width, height = (int(side) for side in size)
+        scale = SIDE / max(width, height)
+        self.shape = (max(1, round(height * scale)), max(1, round(width * scale)))
+        """Rows and columns."""
+        self.sums: Doubles = np.zeros((2, *self.shape))
+        """Of luminances, and of paths [2, rows, columns]."""
+        self.newest: Doubles = np.zeros((3, *self.shape))
+        """The same of the last step, and the sum of squares [3, rows, columns]."""
+
+    def begin_step(self) -> None:
+        """Noise is that of the paths from here on."""
+        self.newest = np.zeros_like(self.newest)
+
+    def enter(self, place: mi.Point2f, found: mi.Float) -> None:
+        """Add paths through ``place`` in [0, 1)^2 of the film that have found that luminance."""
+        height, width = self.shape
+        pixel = dr.minimum(mi.Point2u(place * mi.Point2f(width, height)), mi.Point2u(width - 1, height - 1))
+        index = pixel.y * width + pixel.x
+        found = dr.select(dr.isfinite(found), found, 0.0)
+        sums = [dr.zeros(mi.Float, width * height) for _ in range(3)]
+        for total, value in zip(sums, (found, mi.Float(1.0), dr.square(found)), strict=True):
+            dr.scatter_reduce(dr.ReduceOp.Add, total, value, index)
+        dr.eval(sums)
+        entered = np.stack([np.array(total, np.float64).reshape(self.shape) for total in sums])
+        self.sums += entered[:2]
+        self.newest += entered
+
+    def image(self) -> NDArray[np.float32]:
+        """Mean luminance [rows, columns], blurred."""
+        sums, counts = (_blurred(part) for part in self.sums)
+        return np.asarray(sums / np.maximum(counts, LEAST_PATHS), np.float32)
+
+    def noise(self) -> float:
+        """Standard deviation of one path of the last step over the value of its pixel, the median of all pixels."""
+        mean, _, squares = self.newest / np.maximum(self.newest[1], 1.0)
+        lit = mean > 0.0
+        ratio = np.maximum(squares[lit] / np.square(mean[lit]) - 1.0, 0.0)
+        return float(np.sqrt(np.median(ratio))) if lit.any() else 0.0
+
+
+def regions_in_view(scene: mi.Scene, camera: Camera, regions: Regions, shape: tuple[int, int]) -> NDArray[np.uint16]:
+    """Region that the middle of each pixel shows of an image of that ``shape`` (rows, columns)."""
+    height, width = shape
+    pixel = dr.arange(mi.UInt32, height * width)
+    row = pixel // width
+    middle = mi.Point2f((mi.Float(pixel - row * width) + 0.5) / width, (mi.Float(row) + 0.5) / height)
+    ray = camera.sample_ray(middle * mi.Point2f(camera.size), mi.Float(0.5), mi.Point2f(0.5)).ray
+    si = scene.ray_intersect(ray)
+    finder = GuidedDirections(RegionLookup(regions), None, None)
+    seen = dr.select(si.is_valid(), finder.region(si, si.wi, si.is_valid()), int(NO_REGION))
+    return np.array(seen).astype(np.uint16).reshape(height, width)
+
+
+def _blurred(image: Doubles) -> Doubles:
+    """Each pixel with its neighbours, 1 : 2 : 1 along both axes."""
+    for axis in (0, 1):
+        last = image.shape[axis] - 1
+        before, after = (np.clip(np.arange(last + 1) + step, 0, last) for step in (-1, 1))
+        image = 0.25 * image.take(before, axis) + 0.5 * image + 0.25 * image.take(after, axis)
+    return image

@@ -1,0 +1,125 @@
+"""Pilots: how efficient each candidate is in a scene, measured on samples that no image will hold."""
+
+from __future__ import annotations
+
+import time
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from elps_core.choice import CANDIDATES, Pilot, candidate
+from elps_core.context.store import DirectionalParts
+from elps_core.integrators.bdpt import Bdpt
+from elps_core.integrators.make import paths_of
+from elps_core.paths.stream import Stream
+from elps_core.sampling.start import StartDensity
+from elps_core.scene.sensors import Camera
+from elps_core.scene.spectrum import luminance
+from elps_core.settings import ContextSettings, RenderSettings
+
+BLOCK = 1 << 16
+"""Samples of a block; each film position has two, whose difference tells of noise alone."""
+LEAST, MOST, SECONDS = 3, 16, 0.5
+"""Blocks of a candidate; no more are begun after this time."""
+TURNS = 4
+"""Samples of a lane, one after the other, as in renders."""
+DARK = 0.01
+"""Part of the mean that counts as noise-free in every pixel: dark ones are not to decide."""
+SMALLEST = 1e-18
+"""What a pixel of a black image counts as: its inverse has a square that is a float."""
+STREAM = 0x9170
+"""Sets the random numbers of pilots apart from those of renders and tables with the same seed."""
+SUMS = 1 << 10
+"""Places that a sum is spread over, so that threads seldom meet."""
+
+
+class PilotRunner:
+    """Runs candidates in one scene, each for about half a second."""
+
+    def __init__(
+        self,
+        scene: mi.Scene,
+        camera: Camera,
+        lights: StartDensity,
+        parts: DirectionalParts,
+        settings: ContextSettings,
+    ) -> None:
+        self._scene, self._camera, self._lights, self._parts = scene, camera, lights, parts
+        self._settings = RenderSettings(integrator="bdpt", max_depth=settings.max_depth, context=settings)
+        pilot = np.asarray(parts.pilot, np.float64)
+        # Fixed before any of the samples: a mean of the samples themselves would hide their outliers.
+        floored = np.sqrt(np.square(pilot) + (DARK * pilot.mean()) ** 2)
+        self._inverse = mi.Float((1.0 / np.maximum(floored, SMALLEST)).astype(np.float32).ravel())
+        height, width = pilot.shape
+        self._width = dr.opaque(mi.UInt32, width)
+        self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
+        self._scale = dr.opaque(mi.Point2f, [width / int(camera.size.x), height / int(camera.size.y)])
+
+    def run(self, name: str) -> Pilot:
+        """Measure the candidate ``name``."""
+        settings = candidate(self._settings, name)
+        bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
+        key = (self._settings.context.seed, STREAM, list(CANDIDATES).index(name))
+        found: list[tuple[float, float]] = []  # Variance and mean of each block
+        seconds, begin = 0.0, time.perf_counter()
+        while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < SECONDS):
+            start = time.perf_counter()
+            found.append(self._block(bdpt, (*key, len(found))))
+            if len(found) == 1:  # Compiled, and perhaps for the first time
+                begin = time.perf_counter()
+            else:
+                seconds += time.perf_counter() - start
+        count = len(found)
+        (variance, mean), (error, mean_error) = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(count)
+        return Pilot(
+            name=name,
+            variance=float(variance),
+            error=float(error),
+            mean=float(mean),
+            mean_error=float(mean_error),
+            microseconds=1e6 * seconds / (BLOCK * (count - 1)),
+            samples=BLOCK * count,
+        )
+
+    def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> tuple[float, float]:
+        """Variance and mean of a block's samples, see :class:`Pilot`.
+
+        Eye paths come in pairs of one film position: half the square of their difference. Of light paths
+        the sum of squares: what all that meet a pixel bring together is far more than one brings.
+        """
+        thinning = bdpt.thinning
+        lit = BLOCK // thinning
+        squares, sums = dr.zeros(mi.Float, SUMS), dr.zeros(mi.Float, SUMS)
+        variance, mean = 0.0, 0.0
+
+        def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
+            amount = luminance(mi.UnpolarizedSpectrum(value), wavelengths)
+            relative = amount * self._worth(where)
+            place = mi.UInt32(dr.abs(where.x) * SUMS) & (SUMS - 1)
+            active = active & dr.isfinite(relative)
+            dr.scatter_reduce(dr.ReduceOp.Add, squares, dr.square(relative), place, active)
+            dr.scatter_reduce(dr.ReduceOp.Add, sums, relative, place, active)
+
+        # All samples share the time, and the image: strata of their own, weighted by their part of it.
+        for number, (count, scale) in enumerate(((lit, float(thinning)), (BLOCK - lit, None))):
+            if not count:
+                continue
+            half = count // 2
+            place = Stream.of(half, *key, number, 0).next_2d() * mi.Point2f(self._camera.size)
+            position = dr.concat([place.x, place.x]), dr.concat([place.y, place.y])
+            lanes = -(-count // TURNS)
+            streams = (Stream.of(lanes, *key, number, 1), Stream.of(lanes, *key, number, 2))
+            radiance, wavelengths = bdpt.trace(mi.Point2f(position), streams, splat, light_scale=scale, turns=TURNS)
+            found = luminance(mi.UnpolarizedSpectrum(radiance), wavelengths)
+            relative = np.array(found, np.float64).reshape(2, half) * np.array(self._worth(place), np.float64)
+            relative = np.where(np.isfinite(relative), relative, 0.0)
+            variance += 0.5 * float(np.square(relative[0] - relative[1]).mean()) * (count / BLOCK)
+            mean += float(relative.mean()) * (count / BLOCK)
+        of_light, by_light = (float(dr.sum(total)[0]) / lit for total in (squares, sums))
+        return variance + thinning * of_light, mean + by_light
+
+    def _worth(self, position: mi.Point2f) -> mi.Float:
+        """1 / the pilot image at film positions."""
+        pixel = dr.minimum(mi.Point2u(dr.maximum(position * self._scale, 0.0)), self._last)
+        return dr.gather(mi.Float, self._inverse, pixel.y * self._width + pixel.x)

@@ -1,0 +1,107 @@
+"""What the steps of a build have made so far, to be saved between any two and taken up elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from elps_core.context.clustering import Clustering
+from elps_core.context.directional import DirectionalAccumulator
+from elps_core.context.pilot_image import PilotImage
+from elps_core.errors import ContextMismatch
+
+Doubles = NDArray[np.float64]
+Arrays = dict[str, NDArray[Any]]
+
+DENSITY_SIDE = 128
+"""Side of the pictures of particles from above, in cells."""
+SOURCES = ("radiance", "photons", "importance")
+"""Sums of what eye paths find, of what light paths bring, and of what eye paths bring."""
+UNFIT = "the saved state of the context does not fit: measure it again"
+
+
+@dataclass
+class TableState:
+    """Regions and tables in the making."""
+
+    pilot: PilotImage
+    done: int = 0
+    """Steps taken."""
+    paths: int = 0
+    """Paths traced for the tables."""
+    particles: int = 0
+    """Particles that regions were made from."""
+    density: NDArray[np.float32] = field(default_factory=lambda: np.zeros((2, DENSITY_SIDE, DENSITY_SIDE), np.float32))
+    """Photons and importons seen from above, in shares of all."""
+    clustering: Clustering | None = None
+    """From the first step on."""
+    areas: Doubles | None = None
+    """Of the regions, once tables are filled."""
+    sources: dict[str, DirectionalAccumulator] = field(default_factory=dict)
+    """By names of :data:`SOURCES`, once tables are filled."""
+    lights: Doubles = field(default_factory=lambda: np.zeros((0, 0)))
+    """What light sampling found, by region and piece of the lights."""
+
+    def arrays(self) -> Arrays:
+        """Everything, by name."""
+        parts: Arrays = {
+            "counts": np.array([self.done, self.paths, self.particles], np.int64),
+            "pilot": self.pilot.sums,
+            "newest": self.pilot.newest,
+            "lights": self.lights,
+            "density": self.density,
+        }
+        if self.clustering is not None:
+            parts |= {f"clustering.{name}": array for name, array in self.clustering.arrays().items()}
+        if self.areas is not None:
+            parts["areas"] = self.areas
+        for name, source in self.sources.items():
+            parts |= {f"{name}.{key}": array for key, array in source.arrays().items()}
+        return parts
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]], *, steps: int, first: int, cells: int) -> None:
+        """Take up what :meth:`arrays` gave, of a build of ``steps``.
+
+        Tables have that many ``cells``, and are filled from the step ``first`` on.
+
+        Raises:
+            ContextMismatch: it is incomplete, or belongs to other settings. Nothing has changed then.
+        """
+        try:
+            done, paths, particles = (int(n) for n in arrays["counts"])
+            pilot, newest, density, lights = (arrays[name] for name in ("pilot", "newest", "density", "lights"))
+        except (KeyError, ValueError):
+            raise ContextMismatch(UNFIT) from None
+        saved = _part(arrays, "clustering")
+        clustering = Clustering.from_arrays(saved) if saved else None
+        areas = arrays.get("areas")
+        names = {name.partition(".")[0] for name in arrays} & set(SOURCES)
+        sources = {name: DirectionalAccumulator.from_arrays(_part(arrays, name)) for name in sorted(names)}
+        found = clustering is not None and clustering.finished
+        count = clustering.result().count if clustering and found else 0
+        numbers = [pilot, newest, density, lights, *([] if areas is None else [areas])]
+        if (
+            not 0 <= done <= steps
+            or (done > 0) != (clustering is not None)
+            or (done >= first and not found)
+            or (pilot.shape, density.shape) != (self.pilot.sums.shape, self.density.shape)
+            or newest.shape != self.pilot.newest.shape
+            or (bool(sources) or areas is not None) != (done > first)
+            or (areas is not None and areas.shape != (count,))
+            or (lights.size > 0 and (lights.ndim != 2 or len(lights) != count))
+            or any((source.regions, source.map.cells) != (count, cells) for source in sources.values())
+            or not all(part.dtype.kind == "f" and np.isfinite(part).all() for part in numbers)
+        ):
+            raise ContextMismatch(UNFIT)
+        self.done, self.paths, self.particles = done, paths, particles
+        self.pilot.sums, self.pilot.newest = pilot.copy(), newest.copy()
+        self.density, self.lights = density.copy(), lights.copy()
+        self.clustering, self.areas, self.sources = clustering, areas, sources
+
+
+def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> Arrays:
+    return {name.partition(".")[2]: array for name, array in arrays.items() if name.startswith(f"{prefix}.")}

@@ -1,0 +1,82 @@
+"""Pilots say what renders of the same settings show: their variance, their mean, and how long they take."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from elps_core.choice import CANDIDATES, PILOTS, candidate
+from elps_core.context.store import GlobalContext
+from elps_core.scene.generate import cornell, write
+from elps_core.scene.loader import LoadedScene, load_scene
+from elps_core.settings import ContextSettings, RenderSettings
+
+SETTINGS = ContextSettings(
+    resolution=8, samples_per_cell=16, max_depth=5, regions=32, rows=8, columns=16, paths=1 << 16, tolerance=0.0
+)
+SIDE, SPP, IMAGES = 96, 8, 12
+"""Of the film, as large as the pilot image; and of the renders that pilots are held against."""
+
+
+@pytest.fixture(autouse=True)
+def _variant(mi: Any) -> None:
+    """What is tested is a module of kernels."""
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory: pytest.TempPathFactory) -> LoadedScene:
+    path = tmp_path_factory.mktemp("scene") / "box.zip"
+    write(cornell(), path)
+    return load_scene(path, "llvm_ad_rgb", size=(SIDE, SIDE))
+
+
+@cache
+def context_of(box: LoadedScene) -> GlobalContext:
+    from elps_core.context.build import ContextBuilder
+
+    builder = ContextBuilder(box, SETTINGS)
+    while builder.done < builder.steps:
+        saved = builder.to_bytes()
+        builder = ContextBuilder(box, SETTINGS)
+        builder.restore(saved)  # Pilots, too, outlive the process that ran them
+        builder.step()
+    return builder.result()
+
+
+def test_every_candidate_has_a_pilot(box: LoadedScene) -> None:
+    pilots = context_of(box).statistics[PILOTS]
+    assert [entry["name"] for entry in pilots] == list(CANDIDATES)
+    assert all(entry["microseconds"] > 0.0 and entry["samples"] >= 3 << 16 for entry in pilots)
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_variance_and_mean_are_those_of_renders(box: LoadedScene, name: str) -> None:
+    from elps_core.renderer import Renderer
+
+    context = context_of(box)
+    assert context.directions is not None
+    (pilot,) = (entry for entry in context.statistics[PILOTS] if entry["name"] == name)
+    settings = RenderSettings(integrator="auto", max_depth=SETTINGS.max_depth, context=SETTINGS)
+    renderer = Renderer(box, candidate(settings, name), context)
+    weights = np.array([0.212671, 0.715160, 0.072169])
+    images = np.stack([renderer.render_chunk(k, SPP).image @ weights for k in range(IMAGES)])
+    image = context.directions.pilot
+    assert image.shape == images.shape[1:]
+    inverse = 1.0 / np.sqrt(np.square(image) + (0.01 * image.mean()) ** 2)
+    variance = float((images.var(axis=0, ddof=1) * SPP * np.square(inverse)).mean())
+    mean = float((images.mean(axis=0) * inverse).mean())
+    assert pilot["mean"] == pytest.approx(mean, rel=0.05)
+    assert pilot["variance"] == pytest.approx(variance, rel=0.3)
+
+
+def test_auto_renders_what_pilots_chose(box: LoadedScene) -> None:
+    from elps_core.renderer import Renderer
+
+    settings = RenderSettings(integrator="auto", max_depth=SETTINGS.max_depth, context=SETTINGS)
+    renderer = Renderer(box, settings, context_of(box))
+    assert renderer.choice.name in CANDIDATES
+    forced = Renderer(box, candidate(settings, renderer.choice.name), context_of(box))
+    assert np.allclose(renderer.render_chunk(0, 4).image, forced.render_chunk(0, 4).image, rtol=1e-4, atol=1e-5)

@@ -1,0 +1,163 @@
+"""What is chosen by pilots, and from what."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from elps_core.choice import CANDIDATES, PILOTS, Choice, Pilot, candidate, choose, fit_candidates
+from elps_core.errors import ContextMismatch
+from elps_core.scene.summary import SceneSummary
+from elps_core.settings import ContextSettings, RenderSettings, with_overrides
+
+AUTO = RenderSettings(integrator="auto")
+ENTRY: dict[str, Any] = {"error": 0.0, "mean": 1.0, "mean_error": 0.0, "microseconds": 1.0, "samples": 9}
+CONTEXT: dict[str, Any] = {"direction_sampling": "context", "roulette": "context"}
+
+
+def statistics(**efficiencies: float) -> dict[str, Any]:
+    """Of a context whose pilots have these efficiencies, by initials of the candidates; the others have 1."""
+    entries = []
+    for name in CANDIDATES:
+        efficiency = efficiencies.get("".join(word[0] for word in name.replace(",", "").split()), 1.0)
+        entries.append(ENTRY | {"name": name, "variance": 1e6 / efficiency})
+    return {PILOTS: entries}
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_auto_takes_the_most_efficient(name: str) -> None:
+    initials = "".join(word[0] for word in name.replace(",", "").split())
+    choice = choose(AUTO, statistics(**{initials: 2.0}))
+    assert choice.name == name
+    assert choice.settings == candidate(AUTO, name)
+    assert not choice.settings.adaptive
+
+
+def test_candidates_differ() -> None:
+    assert len({candidate(AUTO, name).model_dump_json() for name in CANDIDATES}) == len(CANDIDATES)
+
+
+def test_auto_takes_over_what_every_candidate_has() -> None:
+    asked = with_overrides(AUTO, {"max_depth": 7, "seed": 3, "width": 8, "height": 9, "light_sampling": "power"})
+    chosen = choose(asked, statistics(bp=2.0)).settings
+    same = ("max_depth", "seed", "width", "height", "light_sampling", "rr_depth", "heuristic", "table_share")
+    assert [getattr(chosen, field) for field in same] == [getattr(asked, field) for field in same]
+
+
+@pytest.mark.parametrize(
+    ("integrator", "eye_paths", "plain", "enlightened"),
+    [
+        ("path", 1, "pp", "pe"),
+        ("bdpt", 1, "bp", "be"),
+        ("bdpt", 4, "bp", "be4ep"),
+        ("bdpt", 16, "bp", "be1ep"),
+        ("light", 1, "bp", "be"),
+        ("pssmlt", 1, "bp", "be"),
+    ],
+)
+def test_a_named_integrator_keeps_its_name(integrator: str, eye_paths: int, plain: str, enlightened: str) -> None:
+    asked = with_overrides(RenderSettings(integrator=integrator, **CONTEXT), {"bdpt.eye_paths": eye_paths})
+    names = {"".join(word[0] for word in name.replace(",", "").split()) for name in CANDIDATES}
+    others = dict.fromkeys(names - {plain, enlightened}, 100.0)
+    won = choose(asked, statistics(**others, **{enlightened: 2.0}))
+    assert (won.settings, won.name) == (asked, f"{integrator}, enlightened")
+    lost = choose(asked, statistics(**others, **{plain: 2.0}))
+    assert lost.name == f"{integrator}, plain"
+    assert lost.settings == with_overrides(
+        asked, {"direction_sampling": "scattering", "roulette": "albedo", "context.adaptive": False}
+    )
+
+
+def test_a_plain_form_keeps_a_roulette_of_its_own() -> None:
+    asked = RenderSettings(integrator="path", direction_sampling="context", roulette="none")
+    assert choose(asked, statistics(pp=2.0)).settings.roulette == "none"
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        RenderSettings(integrator="path"),
+        RenderSettings(integrator="mi_path"),
+        RenderSettings(integrator="path", context=ContextSettings(adaptive=False), **CONTEXT),
+        with_overrides(RenderSettings(**CONTEXT), {"bdpt.strategies": "1,2"}),
+    ],
+)
+def test_nothing_to_choose(settings: RenderSettings) -> None:
+    assert choose(settings, None) == Choice(settings, None)
+
+
+BROKEN: list[dict[str, Any]] = [
+    {},
+    {PILOTS: []},
+    {PILOTS: None},
+    {PILOTS: [{"name": "path, plain"}]},
+    {PILOTS: [ENTRY | {"name": "magic", "variance": 1.0}]},
+    {PILOTS: [ENTRY | {"name": "path, plain", "variance": float("nan")}]},
+]
+
+
+@pytest.mark.parametrize("broken", BROKEN)
+def test_without_pilots_there_is_no_choice(broken: dict[str, Any]) -> None:
+    with pytest.raises(ContextMismatch, match="no pilots"):
+        choose(AUTO, broken)
+
+
+def test_auto_needs_pilots() -> None:
+    with pytest.raises(ValidationError, match="chooses by pilots"):
+        RenderSettings(integrator="auto", context=ContextSettings(adaptive=False))
+
+
+def summary(**changes: Any) -> SceneSummary:
+    sensor = {"type": "perspective", "width": 8, "height": 8}
+    return SceneSummary.model_validate(
+        {"sensors": [sensor], "emitters": [{"type": "area", "count": 1}], "bsdfs": ["diffuse"]}
+        | {"shapes": 1, "triangles": 2}
+        | changes
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "only"),
+    [
+        ({}, ("path", "bdpt")),
+        ({"bsdfs": ["diffuse", "hair"]}, ("path",)),
+        # Light of a point behind glass comes to no eye path.
+        ({"bsdfs": ["diffuse", "dielectric"], "emitters": [{"type": "point", "count": 1}]}, ("bdpt",)),
+    ],
+)
+def test_candidates_find_all_light(changes: dict[str, Any], only: tuple[str, ...]) -> None:
+    fit = fit_candidates(summary(**changes), ContextSettings())
+    assert fit == [name for name in CANDIDATES if name.startswith(only)]
+
+
+def test_efficiency_counts_variance_and_time() -> None:
+    once = Pilot("path, plain", 2.0, 0.1, 1.0, 0.1, 4.0, 9)
+    assert once.efficiency == 1e6 / 8.0
+
+
+@pytest.mark.parametrize(("error", "name"), [(0.0, "bdpt, plain"), (0.2, "path, plain")])
+def test_what_pilots_have_not_met_counts(error: float, name: str) -> None:
+    """Path tracing that has met half of the light has its samples' variance, and that of the other half."""
+    entries = statistics(pp=100.0)[PILOTS]
+    for entry in entries:
+        entry["samples"] = 1 << 20
+        entry["mean_error"] = error
+        if entry["name"].startswith("path"):
+            entry["mean"] = 0.5
+        if entry["name"] == "bdpt, plain":
+            entry["variance"] = 1e5
+    assert choose(AUTO, {PILOTS: entries}).name == name
+
+
+def test_a_choice_tells_its_evidence() -> None:
+    choice = choose(AUTO, statistics(pe=4.0))
+    report = choice.report()
+    assert report is not None
+    assert report["name"] == "path, enlightened"
+    assert [entry["name"] for entry in report[PILOTS]] == list(CANDIDATES)
+    (line,) = choice.lines()
+    assert line.startswith("rendered by path, enlightened")
+    assert "path, plain 0.25" in line
+    assert choose(RenderSettings(integrator="path"), None).lines() == []
