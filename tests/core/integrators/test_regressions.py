@@ -49,7 +49,8 @@ def test_null_interfaces_let_light_through(agree: Agree, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["bumps-close", "normalmap", "vertex-normals"])
 def test_light_paths_see_bent_shading_normals_as_eye_paths_do(agree: Agree, name: str) -> None:
-    agreement = agree(name, "light", more=6.0)
+    # Rare light paths carry much of what bumps reflect.
+    agreement = agree(name, "light", more=14.0 if name == "bumps-close" else 3.0)
     assert agreement.agrees, agreement
     assert agreement.detectable < BOUND, agreement
 
