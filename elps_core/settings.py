@@ -7,6 +7,7 @@ lets jobs share work (see :mod:`elps_core.scene.digest`).
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -37,6 +38,11 @@ MITSUBA_BASELINES = (*DEPTH_BASELINES, "direct", "depth")
 """Mitsuba integrators that may be named as ``mi_<name>``."""
 INTEGRATORS = ("auto", *BUILT_INTEGRATORS, *(f"mi_{name}" for name in MITSUBA_BASELINES))
 """All that the setting ``integrator`` takes."""
+USUAL_PATHS, USUAL_SECONDS = 2**21, 60.0
+"""Paths for the tables of a render of a minute: on two cores they take about a fifth of it."""
+LEAST_PATHS, MOST_PATHS = 2**17, 2**23
+"""Of shorter and of longer renders; with fewer, tables know too little, and with more they hardly gain."""
+
 _STRATEGIES = re.compile(r"^(all|[0-9]{1,3},[0-9]{1,3}( [0-9]{1,3},[0-9]{1,3}){0,255})$")
 PRESETS: dict[str, dict[str, Any]] = {
     "enlightened": {"integrator": "auto"},
@@ -95,8 +101,9 @@ class ContextSettings(_Model):
     """Cells of a table around."""
     particles: ParticleSource = "walks"
     """What fills the tables: the records that guided eye and light paths leave, or particles of one of three kinds."""
-    paths: Annotated[int, Field(ge=1024, le=2**32)] = 2 * 2**20
-    """Paths that are traced for the tables, of each kind, unless the tables have converged before."""
+    paths: Annotated[int, Field(ge=1024, le=2**32)] | None = None
+    """Paths that are traced for the tables, of each kind, unless the tables have converged before. Absent: as many as a
+    fifth of the render's time allows on two cores, see :func:`suited`."""
     tolerance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05
     """Relative error of the sums of all regions at which no more paths are traced."""
     encoding: TableEncoding = "log8"
@@ -289,6 +296,19 @@ class StopCriterion(_Model):
         if self.samples is None and self.seconds is None and self.error is None:
             raise ValueError("give at least one of samples, seconds, error")
         return self
+
+
+def suited(settings: RenderSettings, stop: StopCriterion) -> RenderSettings:
+    """``settings`` with a context that suits the time of the render, where they do not say how many paths it takes.
+
+    By powers of two and by nothing else, so that renders of about the same length share a context on any machine.
+    """
+    if settings.context.paths is not None or not settings.needs_tables:
+        return settings
+    seconds = USUAL_SECONDS if stop.seconds is None else stop.seconds
+    octaves = math.floor(math.log2(seconds / USUAL_SECONDS))
+    paths = min(max(USUAL_PATHS * 2.0**octaves, LEAST_PATHS), MOST_PATHS)
+    return with_overrides(settings, {"context.paths": int(paths)})
 
 
 def first_problem(error: ValidationError) -> str:

@@ -26,7 +26,7 @@ from elps_core.scene.bundle import is_archive
 from elps_core.scene.digest import context_digest, render_digest
 from elps_core.scene.inspect import inspect_in_child
 from elps_core.scene.summary import SceneSummary
-from elps_core.settings import RenderSettings, StopCriterion
+from elps_core.settings import RenderSettings, StopCriterion, suited
 from worker.errors import FarmUnavailable
 from worker.leases import Work
 from worker.models import FINAL_STATES, ContextRecord, Event, Job, SceneRecord, WorkerInfo
@@ -122,6 +122,7 @@ class Farm:
         if record is None:
             raise SceneRejected("no such scene: upload it first")
         summary = SceneSummary.model_validate(record.summary)
+        settings = suited(settings, stop)
         size = self._checked_size(summary, settings)
         reach.check(summary, settings)
         context = context_digest(scene, settings.sensor, size, settings.measured) if settings.needs_context else None

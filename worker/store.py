@@ -10,6 +10,7 @@ Redis (:mod:`worker.state`). Keys:
 ``contexts/{context}.safetensors``      a global context
 ``contexts/{context}.json``             its :class:`~worker.models.ContextRecord`; written last
 ``contexts/{context}/{steps}``          checkpoint after so many steps; deleted once it is ready
+``surroundings/{digest}/{context}``     empty: which contexts tell of a scene without its cameras
 ``chunks/{render}/{index}``             a rendered chunk
 ``images/{render}/{chunks}.exr``        the merged image of a set of chunks
 ``jobs/{job}/submitted``, ``/final``    the job's record as it began and as it ended

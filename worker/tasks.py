@@ -135,6 +135,8 @@ class Child:
         if finished:
             context = builder.result()
             store.put(f"contexts/{name(digest)}.safetensors", context.to_bytes())
+            if context.directions is not None:
+                store.put(f"surroundings/{name(context.surroundings)}/{name(digest)}", b"")
             record = record.model_copy(update={"state": "ready", "statistics": context.statistics})
         else:
             store.put(checkpoint_key(digest, builder.done), builder.to_bytes())

@@ -8,11 +8,12 @@ from __future__ import annotations
 import tempfile
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from elps_core.context.store import GlobalContext, load
-from elps_core.errors import RenderFailed
+from elps_core.errors import ContextMismatch, RenderFailed
 from elps_core.estimate.film import Accumulation
 from worker.models import Job
 from worker.store import Store, name
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 SCENES_KEPT = 2
 """Loaded scenes, renderers and builders kept: fair shares make two jobs alternate on one worker."""
+SURROUNDINGS_TRIED = 4
+"""Contexts of other cameras that a new one looks at, a third of a second each."""
 ACCUMULATIONS_KEPT = 4
 """Merged images kept; one of 4096 x 4096 pixels takes 0.9 GB, the usual one 15 MB."""
 
@@ -92,14 +95,29 @@ class Warm:
 
         device.use(job.settings.variant)
         digest = job.context_digest or ""
-        builder = self._builders.get(digest, lambda: ContextBuilder(self._scene(job), job.settings.measured))
-        if builder.done != done:
-            self._builders.forget(digest)
-            builder = self._builders.get(digest, lambda: ContextBuilder(self._scene(job), job.settings.measured))
+
+        def begun() -> ContextBuilder:
+            builder = ContextBuilder(self._scene(job), job.settings.measured)
             saved = self._store.get(checkpoint_key(digest, done)) if done else None
             if saved is not None:
                 builder.restore(saved)
+            elif job.settings.needs_tables:
+                self._begin(builder, job)
+            return builder
+
+        builder = self._builders.get(digest, begun)
+        if builder.done != done:
+            self._builders.forget(digest)
+            builder = self._builders.get(digest, begun)
         return builder
+
+    def _begin(self, builder: ContextBuilder, job: Job) -> None:
+        """Let a builder begin with what another camera's context knows, where one has seen the same."""
+        for key in self._store.keys(f"surroundings/{name(self._scene(job).surroundings)}")[:SURROUNDINGS_TRIED]:
+            path = self._store.fetch(f"contexts/{key.rpartition('/')[2]}.safetensors", Path(tempfile.gettempdir()))
+            with suppress(ContextMismatch):  # of another version
+                if path is not None and builder.begin_from(load(path)):
+                    return
 
     def forget_builder(self, digest: str) -> None:
         """Give back the memory of a context that is finished."""

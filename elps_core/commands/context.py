@@ -39,6 +39,9 @@ def build(
     regions: Annotated[int | None, typer.Option(help="Regions with tables of directions; 0: no tables.")] = None,
     paths: Annotated[int | None, typer.Option(help="Most paths that are traced for the tables.")] = None,
     resolution: Annotated[int | None, typer.Option(help="Cells along a side of the adjoint image.")] = None,
+    like: Annotated[
+        Path | None, typer.Option(help="Context of the same scene by another camera: what it knows of light is reused.")
+    ] = None,
     size: options.Size = None,
     sensor: options.Sensor = None,
     variant: options.Variant = None,
@@ -70,8 +73,9 @@ def build(
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         film = (settings.width, settings.height) if settings.width and settings.height else None
+        other = store.load(like) if like else None
         loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=film)
-        context = build_with_progress(loaded, wanted, progress)
+        context = build_with_progress(loaded, wanted, progress, other)
     try:
         store.save(context, output)
     except OSError:
@@ -108,11 +112,20 @@ def show(
         _report(context, file, Console())
 
 
-def build_with_progress(scene: LoadedScene, settings: ContextSettings, progress: Progress) -> GlobalContext:
-    """Measure the context of a scene, showing how far it is."""
+def build_with_progress(
+    scene: LoadedScene, settings: ContextSettings, progress: Progress, like: GlobalContext | None = None
+) -> GlobalContext:
+    """Measure the context of a scene, showing how far it is; ``like`` is another camera's."""
     from elps_core.context.build import ContextBuilder
 
     builder = ContextBuilder(scene, settings)
+    if like is not None and not builder.begin_from(like):
+        progress.console.print(
+            "warning: the other context is of another scene, has other settings or knows too little of what this camera "
+            "sees: measured anew",
+            highlight=False,
+            soft_wrap=True,
+        )
     task = progress.add_task("measuring the scene", total=builder.steps)
     while builder.done < builder.steps:
         builder.step()

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from elps_core import options
 from elps_core.errors import SettingsRejected
 from elps_core.estimate.stats import MIN_CHUNKS
-from elps_core.settings import RenderSettings, StopCriterion
+from elps_core.settings import RenderSettings, StopCriterion, suited
 
 if TYPE_CHECKING:
     from elps_core.context.store import GlobalContext
@@ -65,8 +65,8 @@ def render(
         "seed": seed,
         "variant": variant,
     }
-    settings = options.settings_from(given, size, assignments)
     stop = options.stop_from(spp, seconds, error)
+    settings = suited(options.settings_from(given, size, assignments), stop)
     if not output.parent.is_dir():
         raise SettingsRejected("the folder of the output does not exist: create it first")
 

@@ -20,7 +20,7 @@ from elps_core.context.saved import UNFIT
 from elps_core.context.store import DirectionalParts, GlobalContext
 from elps_core.context.tables import TableBuilder
 from elps_core.errors import ContextMismatch
-from elps_core.sampling.start import StartDensity
+from elps_core.sampling.start import StartDensity, power_table
 from elps_core.scene.digest import context_digest
 from elps_core.scene.emission import Emission
 from elps_core.scene.loader import LoadedScene
@@ -45,9 +45,24 @@ class ContextBuilder:
         self._pilots: list[Pilot] = []
         self._parts: DirectionalParts | None = None
         self._seconds = 0.0
-        self.steps = adjoint.STEPS + (self._tables.steps if self._tables else 0) + len(self._candidates)
-        """Steps in all; some at the end are left out where tables have converged before."""
         self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings)
+
+    @property
+    def steps(self) -> int:
+        """Steps in all; some at the end are left out where tables have converged before."""
+        return adjoint.STEPS + (self._tables.steps if self._tables else 0) + len(self._candidates)
+
+    def begin_from(self, other: GlobalContext) -> bool:
+        """Take over what a context of the same surroundings and settings knows of light; whether it was of use.
+
+        Raises:
+            RuntimeError: steps have been taken.
+        """
+        fit = (other.surroundings, other.settings) == (self._scene.surroundings, self._settings)
+        if not fit or not self._tables or not other.directions:
+            return False
+        emission = self._adjoint.emission
+        return self._tables.begin_from(other.directions, StartDensity(emission, power_table(emission)))
 
     @property
     def done(self) -> int:
@@ -126,6 +141,7 @@ class ContextBuilder:
             emitters=measured.emission.keys,
             statistics=statistics,
             directions=parts,
+            surroundings=self._scene.surroundings,
         )
 
     def to_bytes(self) -> bytes:

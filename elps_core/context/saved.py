@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from elps_core.context.clustering import Clustering
 from elps_core.context.directional import DirectionalAccumulator
 from elps_core.context.pilot_image import PilotImage
+from elps_core.context.store import DirectionalParts
 from elps_core.errors import ContextMismatch
 
 Doubles = NDArray[np.float64]
@@ -45,6 +46,8 @@ class TableState:
     """By names of :data:`SOURCES`, once tables are filled."""
     lights: Doubles = field(default_factory=lambda: np.zeros((0, 0)))
     """What light sampling found, by region and piece of the lights."""
+    known: DirectionalParts | None = None
+    """Tables of another camera in the same surroundings, in place of a clustering and of sums of radiance."""
 
     def arrays(self) -> Arrays:
         """Everything, by name."""
@@ -59,14 +62,16 @@ class TableState:
             parts |= {f"clustering.{name}": array for name, array in self.clustering.arrays().items()}
         if self.areas is not None:
             parts["areas"] = self.areas
+        if self.known is not None:
+            parts |= {f"known.{name}": array for name, array in self.known.arrays().items()}
         for name, source in self.sources.items():
             parts |= {f"{name}.{key}": array for key, array in source.arrays().items()}
         return parts
 
     def restore(self, arrays: Mapping[str, NDArray[Any]], *, steps: int, first: int, cells: int) -> None:
-        """Take up what :meth:`arrays` gave, of a build of ``steps``.
+        """Take up what :meth:`arrays` gave, of a build of ``steps`` at most.
 
-        Tables have that many ``cells``, and are filled from the step ``first`` on.
+        Tables have that many ``cells``, and are filled from the step ``first`` on where nothing is known.
 
         Raises:
             ContextMismatch: it is incomplete, or belongs to other settings. Nothing has changed then.
@@ -81,12 +86,15 @@ class TableState:
         areas = arrays.get("areas")
         names = {name.partition(".")[0] for name in arrays} & set(SOURCES)
         sources = {name: DirectionalAccumulator.from_arrays(_part(arrays, name)) for name in sorted(names)}
-        found = clustering is not None and clustering.finished
-        count = clustering.result().count if clustering and found else 0
+        given = _part(arrays, "known")
+        known = DirectionalParts.from_arrays(given) if given else None
+        found = known is not None or (clustering is not None and clustering.finished)
+        first = 0 if known else first
+        count = known.regions.count if known else clustering.result().count if clustering and found else 0
         numbers = [pilot, newest, density, lights, *([] if areas is None else [areas])]
         if (
             not 0 <= done <= steps
-            or (done > 0) != (clustering is not None)
+            or (done > 0 and not known) != (clustering is not None)
             or (done >= first and not found)
             or (pilot.shape, density.shape) != (self.pilot.sums.shape, self.density.shape)
             or newest.shape != self.pilot.newest.shape
@@ -100,7 +108,7 @@ class TableState:
         self.done, self.paths, self.particles = done, paths, particles
         self.pilot.sums, self.pilot.newest = pilot.copy(), newest.copy()
         self.density, self.lights = density.copy(), lights.copy()
-        self.clustering, self.areas, self.sources = clustering, areas, sources
+        self.clustering, self.areas, self.sources, self.known = clustering, areas, sources, known
 
 
 def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> Arrays:

@@ -18,7 +18,7 @@ from elps_core.context.regions import Regions
 from elps_core.errors import ContextMismatch
 from elps_core.settings import ContextSettings
 
-FORMAT = "elps-context-2"
+FORMAT = "elps-context-3"
 """Name and version of the file format: safetensors with the facts as JSON metadata."""
 MAX_HEADER = 1 << 20
 """Bytes of metadata that a file may claim; ours have a few hundred."""
@@ -131,12 +131,15 @@ class GlobalContext:
     """Facts of the build: seconds, paths, emitters, flux."""
     directions: DirectionalParts | None = None
     """Tables of directions, where the settings ask for regions."""
+    surroundings: str = ""
+    """Digest of the scene without its cameras: what is known of light holds for all that share it."""
 
     def to_bytes(self) -> bytes:
         """The context as one safetensors record."""
         facts = {
             "digest": self.digest,
             "scene": self.scene,
+            "surroundings": self.surroundings,
             "sensor": self.sensor,
             "settings": self.settings.model_dump(),
             "statistics": self.statistics,
@@ -184,6 +187,7 @@ def load(path: Path) -> GlobalContext:
             emitters=tensors["emitters"],
             statistics=dict(facts["statistics"]),
             directions=DirectionalParts.from_arrays(tensors) if "pilot" in tensors else None,
+            surroundings=str(facts["surroundings"]),
         )
     except OSError:
         raise ContextMismatch("the context file cannot be opened: check the path") from None

@@ -20,6 +20,7 @@ from elps_core.context.pilot_image import PilotImage, regions_in_view
 from elps_core.context.regions import Regions
 from elps_core.context.saved import DENSITY_SIDE, SOURCES, Arrays, Doubles, TableState
 from elps_core.context.store import DirectionalParts
+from elps_core.context.surroundings import SHARE, sees_enough
 from elps_core.context.walks import WalkRecorder
 from elps_core.errors import SceneRejected
 from elps_core.integrators.bdpt import Bdpt
@@ -37,7 +38,7 @@ from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
-from elps_core.settings import ContextSettings
+from elps_core.settings import USUAL_PATHS, ContextSettings
 
 PER_REGION = 64
 """Particles of a region, from which its place follows."""
@@ -67,7 +68,7 @@ LINES = 1 << 19
 """Random lines by which areas are measured."""
 STREAM = 0xD1AE
 """Sets the random numbers of the tables apart from those of renders with the same seed."""
-PARTICLES, AREAS, FILLING = range(3)
+PARTICLES, AREAS, FILLING, KNOWING = range(4)
 """Next part of their keys: what they are for."""
 
 
@@ -76,16 +77,40 @@ class TableBuilder:
 
     def __init__(self, scene: mi.Scene, camera: Camera, settings: ContextSettings) -> None:
         self.scene, self.camera, self.settings = scene, camera, settings
-        self.filling = list(_filling(settings.paths))
-        """Paths of each step that fills the tables."""
-        self.steps = 1 + CLUSTER_STEPS + len(self.filling)
+        self._paths = settings.paths or USUAL_PATHS
         self._made = TableState(PilotImage(camera.size))
         self._parents: NDArray[np.uint32] | None = None
+
+    @property
+    def filling(self) -> list[int]:
+        """Paths of each step that fills the tables."""
+        if self._made.known is None:
+            return list(_filling(self._paths))
+        fewer = max(FIRST_PATHS, int(SHARE * self._paths))
+        return [fewer // 4, fewer - fewer // 4]
+
+    @property
+    def steps(self) -> int:
+        """Steps in all."""
+        return len(self.filling) + (1 + CLUSTER_STEPS if self._made.known is None else 0)
 
     @property
     def done(self) -> int:
         """Steps taken."""
         return self._made.done
+
+    def begin_from(self, known: DirectionalParts, lights: StartDensity) -> bool:
+        """Take over the regions and the radiance of another camera's tables, if this one sees enough of them.
+
+        Raises:
+            RuntimeError: steps have been taken.
+        """
+        if self._made.done:
+            raise RuntimeError("the tables have been begun")
+        key = (self.settings.seed, STREAM, KNOWING)
+        if sees_enough(self.scene, self.camera, lights, known, self.settings.max_depth, key):
+            self._made.known, self._made.density = known, known.density.copy()
+        return self._made.known is not None
 
     @property
     def paths(self) -> int:
@@ -99,7 +124,9 @@ class TableBuilder:
 
     def step(self, lights: StartDensity) -> None:
         """Take the next step, light paths starting by ``lights``."""
-        if self._made.done == 0:
+        if self._made.known is not None:
+            self._fill(lights, self._made.done)
+        elif self._made.done == 0:
             self._gather(lights)
         elif self._made.clustering and self._made.done <= CLUSTER_STEPS:
             for _ in range(CLUSTER_BATCH):
@@ -113,6 +140,8 @@ class TableBuilder:
     @property
     def regions(self) -> Regions:
         """The regions, once they are found."""
+        if self._made.known is not None:
+            return self._made.known.regions
         if self._made.clustering is None:
             raise RuntimeError("there are no regions yet: take the steps that are left")
         return self._made.clustering.result()
@@ -120,19 +149,20 @@ class TableBuilder:
     def relative_error(self) -> float:
         """Of the sums that guide eye paths; infinite before there are any."""
         sources = self._made.sources
-        errors = [sources[name].relative_error() for name in ("radiance", "photons") if name in sources]
+        names = ("radiance", "photons") if self._made.known is None else ("importance",)
+        errors = [sources[name].relative_error() for name in names if name in sources]
         return min(errors, default=float("inf"))
 
     def result(self) -> DirectionalParts:
         """Tables fit to be sampled."""
-        encoding, pilot = self.settings.encoding, self._made.pilot
+        encoding, pilot, known = self.settings.encoding, self._made.pilot, self._made.known
         return DirectionalParts(
             regions=self.regions,
-            radiance=self._finished("radiance", "photons").encoded(encoding),
+            radiance=known.radiance if known else self._finished("radiance", "photons").encoded(encoding),
             importance=self._finished("importance").encoded(encoding),
             pilot=pilot.image(),
             noise=pilot.noise(),
-            lights=self._light_tables(),
+            lights=known.lights if known else self._light_tables(),
             view=regions_in_view(self.scene, self.camera, self.regions, pilot.shape),
             density=self._made.density,
         )
@@ -244,10 +274,13 @@ class TableBuilder:
             areas = region_areas(self.scene, finder, count, LINES, key_areas, facing=regions.normals)
             # What no line has crossed is small, and not nothing.
             self._made.areas = np.maximum(areas, areas[areas > 0.0].min(initial=1e30))
-        for name in SOURCES if self.settings.particles == "walks" else SOURCES[1:]:
+        known = self._made.known
+        walks = known is not None or self.settings.particles == "walks"
+        names = SOURCES[2:] if known is not None else SOURCES if walks else SOURCES[1:]
+        for name in names:
             self._made.sources.setdefault(name, DirectionalAccumulator(count, *grid))
         paths = self.filling[number]
-        if self.settings.particles == "walks":
+        if walks:
             self._walk(lights, finder, self._made.areas, paths, number, key)
         else:
             self._collect(lights, finder, self._made.areas, paths, key)
@@ -262,15 +295,17 @@ class TableBuilder:
         number: int,
         key: tuple[int, ...],
     ) -> None:
-        sources, pilot, size = self._made.sources, self._made.pilot, self.camera.size
-        importance, directions, worth = sources["importance"], finder, None
-        if number:
-            radiance = DirectionalField(finder.lookup, self._finished("radiance", "photons"))
+        pilot, size, known = self._made.pilot, self.camera.size, self._made.known
+        importance, directions, worth = self._made.sources["importance"], finder, None
+        if number or known:
+            tables = known.radiance if known else self._finished("radiance", "photons")
+            radiance = DirectionalField(finder.lookup, tables)
             # Light paths that know where the sensor is bring photons from what eye paths cannot find.
             light = None
-            if number > 1:
+            if number > 1 and not known:
                 light = Guide(DirectionalField(finder.lookup, self._finished("importance")), TRAINING_SHARE)
             directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE), light)
+        if number:
             # As if there were no noise: roulette is to end few paths by tables that still change.
             worth = PixelWorth(pilot.image(), 0.0, size)
         else:  # What importance is worth is not known before there is a pilot.
@@ -290,6 +325,9 @@ class TableBuilder:
         direct = mi.Float(self._made.lights.astype(np.float32).ravel())
         if not dr.width(direct):
             direct = dr.zeros(mi.Float, max(1, finder.lookup.count * pieces(lights)))
+        grid = (self.settings.rows, self.settings.columns)
+        seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.lookup.count, *grid)
+        photons = self._made.sources.get("photons")
         # Two passes at least, each a batch, so that noise is known.
         passes = max(2, -(-paths * self.settings.max_depth // RECORDS))
         here = -(-paths // passes)
@@ -297,14 +335,16 @@ class TableBuilder:
         for part in range(passes):
             stream = Stream.of(lanes, *key, part, 0)
             place = Stream.of(here, *key, part, 2).next_2d()
-            found = recorder.eye_paths(place * mi.Point2f(size), stream, sources["radiance"], importance, direct)
+            found = recorder.eye_paths(place * mi.Point2f(size), stream, seen, importance, direct)
             pilot.enter(place, found)
-            sources["radiance"].close_batch()
+            seen.close_batch()
             importance.close_batch(here * areas)
+            if photons is None:
+                continue
             lit = max(1, here // LIGHT_PART)
-            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), sources["photons"])
-            sources["photons"].close_batch(lit * areas)
-        if pieces(lights):
+            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons)
+            photons.close_batch(lit * areas)
+        if pieces(lights) and not known:
             self._made.lights = np.array(direct, np.float64).reshape(finder.lookup.count, -1)
 
     def _collect(

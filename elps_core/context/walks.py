@@ -19,12 +19,13 @@ from elps_core.context.directional import DirectionalAccumulator
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.paths.scattering import Scattered
 from elps_core.paths.stream import Stream
+from elps_core.paths.turns import Turns
 from elps_core.paths.vertex import Vertex
 from elps_core.paths.walk import Walk, random_walk
 from elps_core.sampling import lights as region_lights
 from elps_core.sampling.direction import GuidedDirections
 from elps_core.sampling.lights import NOWHERE
-from elps_core.scene.spectrum import luminance, sample_wavelengths
+from elps_core.scene.spectrum import luminance, sample_wavelengths, white
 
 
 @dataclass
@@ -43,23 +44,6 @@ class _Light:
 
     path: mi.UInt32
     scale: mi.UnpolarizedSpectrum  # Weight of the wavelengths
-
-
-class _Turns:
-    """Shares ``paths`` out among ``lanes``, no more than there are: lane l takes path l, l + lanes, l + 2 lanes ..."""
-
-    def __init__(self, paths: int, lanes: int) -> None:
-        self.paths, self._lanes = dr.opaque(mi.UInt32, paths), dr.opaque(mi.UInt32, lanes)
-        self.first = dr.arange(mi.UInt32, lanes)
-
-    def after(self, path: mi.UInt32, ended: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """The path that follows in lanes that have ``ended`` one, and which of them have one."""
-        following = path + self._lanes
-        return following, ended & (following < self.paths)
-
-    def going(self, state: _Eye | _Light) -> mi.Bool:
-        """Which lanes have a path to finish."""
-        return state.path < self.paths
 
 
 class WalkRecorder:
@@ -92,7 +76,7 @@ class WalkRecorder:
         # What roulette makes of it, light paths apply themselves.
         gain = bdpt.worth.gain if bdpt.worth else 1.0
         paths, lanes = dr.width(position), dr.width(stream)
-        turns = _Turns(paths, lanes)
+        turns = Turns(paths, lanes)
         dr.eval(position, stream)
         found, records = dr.empty(mi.Float, paths), dr.empty(mi.UInt32, paths)
         where, what = (dr.empty(mi.Float, bdpt.max_depth * paths * size) for size in (4, 2))
@@ -156,7 +140,7 @@ class WalkRecorder:
             label="elps training",
             leave=leave,
             renew=renew,
-            going=turns.going,
+            going=lambda state: turns.left(state.path),
         )
         dr.eval(found, records, where, what, importance.state, lights)
         number = dr.arange(mi.UInt32, bdpt.max_depth * paths)
@@ -174,7 +158,7 @@ class WalkRecorder:
         """``paths`` from the lights, in the lanes of ``stream``; every vertex is a photon [thesis (5.11)]."""
         bdpt = self.bdpt
         lanes = dr.width(stream)
-        turns = _Turns(paths, lanes)
+        turns = Turns(paths, lanes)
 
         def begin(path: mi.UInt32, stream: Stream, active: mi.Bool) -> tuple[Walk, _Light]:
             wavelengths, scale = sample_wavelengths(stream.next_1d() if mi.is_spectral else mi.Float(0.5))
@@ -185,7 +169,8 @@ class WalkRecorder:
         def visit(walk: Walk, vertex: Vertex, light: _Light, active: mi.Bool) -> _Light:
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             region = self._regions.region(vertex.si, vertex.si.wi, smooth)
-            weight = luminance(mi.UnpolarizedSpectrum(vertex.beta) * light.scale, walk.ray.wavelengths)
+            # In units of white, as the radiance is that eye paths find over their throughput.
+            weight = luminance(mi.UnpolarizedSpectrum(vertex.beta) * light.scale, walk.ray.wavelengths) / white()
             # Light that comes straight from a lamp is the business of light sampling.
             radiance.add(region, vertex.si.to_world(vertex.si.wi), weight, smooth & (vertex.depth > 1))
             return light
@@ -209,7 +194,7 @@ class WalkRecorder:
             directions=bdpt.directions,
             label="elps training by light",
             renew=renew,
-            going=turns.going,
+            going=lambda state: turns.left(state.path),
         )
         dr.eval(radiance.state)
 

@@ -21,6 +21,7 @@ from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.strategies import Strategies
 from elps_core.paths.strategies import bdpt as all_strategies
 from elps_core.paths.stream import Stream
+from elps_core.paths.turns import Turns
 from elps_core.paths.vertex import Vertex, VertexStore
 from elps_core.paths.walk import Walk, random_walk
 from elps_core.sampling.direction import SCATTERING, Directions
@@ -67,15 +68,18 @@ class _Light:
 
 @dataclass(frozen=True)
 class _Samples:
-    """The samples of a pass: lane l has number l, l + lanes, l + 2 lanes and so on."""
+    """The samples of a pass, and how lanes share them."""
 
     position: mi.Point2f
     u_wavelength: mi.Float
-    turns: int
     count: int
     lanes: int
-    total: mi.UInt32  # The count, as data of the kernel
-    stride: mi.UInt32
+    turns: Turns
+
+    @property
+    def single(self) -> bool:
+        """Whether each lane has one sample."""
+        return self.count == self.lanes
 
     @staticmethod
     def of(position: mi.Point2f, turns: int, stream: Stream) -> _Samples:
@@ -90,25 +94,18 @@ class _Samples:
             )
         if turns > 1:
             dr.eval(position, u_wavelength, stream)
-        return _Samples(
-            position, u_wavelength, turns, count, lanes, dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, lanes)
-        )
+        return _Samples(position, u_wavelength, count, lanes, Turns(count, lanes))
 
     def at(self, sample: mi.UInt32, active: mi.Bool) -> tuple[mi.Point2f, mi.Float]:
         """Film position of a sample, and the number that chooses its wavelengths."""
-        if self.turns == 1:
+        if self.single:
             return self.position, self.u_wavelength
         u_wavelength = dr.gather(mi.Float, self.u_wavelength, sample, active) if mi.is_spectral else self.u_wavelength
         return dr.gather(mi.Point2f, self.position, sample, active), u_wavelength
 
-    def after(self, sample: mi.UInt32, ended: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """The next sample of lanes that have ``ended`` one, and which of them have a next one."""
-        following = sample + self.stride
-        return following, ended & (following < self.total)
-
     def going(self, state: _Eye | _Light) -> mi.Bool:
         """Which lanes have a sample to finish."""
-        return state.sample < self.total
+        return self.turns.left(state.sample)
 
 
 class Bdpt:
@@ -234,7 +231,7 @@ class Bdpt:
             _, radiance, _ = dr.while_loop(start_state, lambda _s, _t, more: more, join, label="elps connect")
             return _Eye(radiance, region, eye.sample)
 
-        found = [dr.empty(mi.Float, samples.count if turns > 1 else 0) for _ in range(dr.size_v(mi.Spectrum))]
+        found = [dr.empty(mi.Float, 0 if samples.single else samples.count) for _ in range(dr.size_v(mi.Spectrum))]
 
         def begin(sample: mi.UInt32, stream: Stream, active: mi.Bool) -> Walk:
             position, u_wavelength = samples.at(sample, active)
@@ -244,12 +241,11 @@ class Bdpt:
             ended = ~walk.active
             for k, channel in enumerate(found):
                 dr.scatter(channel, eye.radiance[k], eye.sample, ended)
-            sample, more = samples.after(eye.sample, ended)
+            sample, more = samples.turns.after(eye.sample, ended)
             fresh = _Eye(dr.zeros(mi.Spectrum), mi.UInt32(NOWHERE), sample)
             return walk.where(more, begin(sample, walk.stream, more)), dr.select(ended, fresh, eye)
 
-        first = dr.arange(mi.UInt32, samples.lanes)
-        lanes = samples.lanes
+        first, lanes = samples.turns.first, samples.lanes
         eye = random_walk(
             self.scene,
             begin(first, eye_stream, mi.Bool(True)),
@@ -260,13 +256,13 @@ class Bdpt:
             roulette=self.roulette,
             heuristic=self.heuristic,
             directions=self.directions,
-            renew=renew if turns > 1 else None,
-            going=samples.going if turns > 1 else None,
+            renew=None if samples.single else renew,
+            going=None if samples.single else samples.going,
             label="elps eye walk",
         )
         dr.eval(found)
         wavelengths = self.primary(position, None, samples.u_wavelength).ray.wavelengths
-        return mi.Spectrum(found) if turns > 1 else eye.radiance, wavelengths
+        return eye.radiance if samples.single else mi.Spectrum(found), wavelengths
 
     def primary(self, position: mi.Point2f, stream: Stream | None, u_wavelength: mi.Float | None = None) -> PrimaryRay:
         """The ray through a film position.
@@ -366,11 +362,11 @@ class Bdpt:
         def renew(walk: Walk, light: _Light) -> tuple[Walk, _Light]:
             ended = ~walk.active
             finish(light, ended)
-            sample, more = samples.after(light.sample, ended)
+            sample, more = samples.turns.after(light.sample, ended)
             fresh, state = begin(sample, walk.stream, more)
             return walk.where(more, fresh), dr.select(ended, state, light)
 
-        walk, state = begin(dr.arange(mi.UInt32, lanes), stream, mi.Bool(True))
+        walk, state = begin(samples.turns.first, stream, mi.Bool(True))
         light = random_walk(
             self.scene,
             walk,
@@ -382,11 +378,11 @@ class Bdpt:
             roulette=self.roulette,
             heuristic=self.heuristic,
             directions=self.directions,
-            renew=renew if samples.turns > 1 else None,
-            going=samples.going if samples.turns > 1 else None,
+            renew=None if samples.single else renew,
+            going=None if samples.single else samples.going,
             label="elps light walk",
         )
-        if samples.turns == 1:
+        if samples.single:
             finish(light, mi.Bool(True))
         dr.eval(store.data, store.count, cells)
         return cells

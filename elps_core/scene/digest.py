@@ -38,6 +38,11 @@ def scene_digest(canonical: str) -> str:
     return _digest("scene", SCENE_FORMAT, canonical)
 
 
+def surroundings_digest(canonical: str) -> str:
+    """Digest of a scene without its cameras, from a text as of :func:`scene_digest` that leaves them out."""
+    return _digest("surroundings", SCENE_FORMAT, canonical)
+
+
 def context_digest(scene: str, sensor: int, size: tuple[int, int], settings: ContextSettings) -> str:
     """Digest of a global context.
 

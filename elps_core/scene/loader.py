@@ -11,6 +11,7 @@ import re
 import tempfile
 from collections import Counter
 from contextlib import ExitStack
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from elps_core import device
 from elps_core.errors import SceneRejected
 from elps_core.scene import headers, markup, measure, meshes, plugins, rules
 from elps_core.scene.bundle import is_archive, open_regular, root_xml, unpack
-from elps_core.scene.digest import file_hash, scene_digest
+from elps_core.scene.digest import file_hash, scene_digest, surroundings_digest
 from elps_core.scene.markup import Node
 from elps_core.scene.summary import EmitterSummary, SceneSummary, SensorSummary
 from elps_core.scene.text import is_plain, shown
@@ -55,6 +56,8 @@ class CanonicalScene:
     nodes: tuple[Node, ...]
     """The element of the scene file behind each line of ``text``."""
     digest: str
+    surroundings: str
+    """Digest without the cameras."""
     root: Node
     """The tree of ``text``. The scene's integrator is left out: settings decide."""
     sensors: tuple[Node, ...]
@@ -77,6 +80,8 @@ class LoadedScene:
     """Width and height of the chosen camera's image in pixels."""
     sensor_index: int
     """Which camera of the scene file was chosen."""
+    surroundings: str
+    """Digest of the scene without its cameras."""
 
 
 def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, int] | None = None) -> LoadedScene:
@@ -110,7 +115,8 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
         summary = _summarize(scene, canonical)
     chosen = scene.sensors()[sensor]
     shown_size = summary.sensors[sensor]
-    return LoadedScene(scene, chosen, canonical.digest, summary, variant, (shown_size.width, shown_size.height), sensor)
+    film = (shown_size.width, shown_size.height)
+    return LoadedScene(scene, chosen, canonical.digest, summary, variant, film, sensor, canonical.surroundings)
 
 
 def canonicalize(xml: Path, *, sensor: int = 0, size: tuple[int, int] | None = None) -> CanonicalScene:
@@ -146,6 +152,7 @@ def canonicalize(xml: Path, *, sensor: int = 0, size: tuple[int, int] | None = N
             absolute[id(node)] = str(path).replace("$", "\\$")
             hashed[id(node)] = f"sha256:{content}{path.suffix.lower()}"
     digest = scene_digest(markup.write(root, hashed)[0])
+    surroundings = surroundings_digest(markup.write(_without_sensors(root), hashed)[0])
     sensors = _sensors(objects)
     if sensor not in range(len(sensors)):
         raise SceneRejected(f"the scene has {len(sensors)} sensors, counted from 0: there is no sensor {sensor}")
@@ -154,7 +161,13 @@ def canonicalize(xml: Path, *, sensor: int = 0, size: tuple[int, int] | None = N
         _resize(sensors[sensor], objects, size)
     text, nodes = markup.write(root, absolute)
     files = frozenset(path for _, path in checked)
-    return CanonicalScene(text, tuple(nodes), digest, root, tuple(sensors), files)
+    return CanonicalScene(text, tuple(nodes), digest, surroundings, root, tuple(sensors), files)
+
+
+def _without_sensors(root: Node) -> Node:
+    bare = copy(root)
+    bare.children = [child for child in root.children if child.tag not in ("sensor", "film")]
+    return bare
 
 
 def _file_names(owner: Node) -> list[tuple[Node, str]]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import mitsuba as mi
 
+LUMINANCE_OF_ONE = 106.857
+"""Integral of the eye's response over wavelengths in nanometres (CIE 1931), to which Mitsuba's spectra are scaled."""
+
 
 def sample_wavelengths(u: mi.Float) -> tuple[mi.Spectrum, mi.UnpolarizedSpectrum]:
     """Hero wavelengths for ``u`` and their weights; nothing to sample outside spectral variants."""
@@ -11,6 +14,11 @@ def sample_wavelengths(u: mi.Float) -> tuple[mi.Spectrum, mi.UnpolarizedSpectrum
         wavelengths, weight = mi.sample_rgb_spectrum(mi.sample_shifted(u))
         return wavelengths, weight
     return mi.Color0f(), mi.UnpolarizedSpectrum(1.0)
+
+
+def white() -> float:
+    """:func:`luminance` of what is 1 at all wavelengths."""
+    return LUMINANCE_OF_ONE if mi.is_spectral else 1.0
 
 
 def luminance(value: mi.UnpolarizedSpectrum, wavelengths: mi.Spectrum) -> mi.Float:

@@ -9,7 +9,14 @@ from pydantic import ValidationError
 
 from elps_core.errors import SettingsRejected
 from elps_core.options import settings_from
-from elps_core.settings import BUILT_INTEGRATORS, INTEGRATORS, RenderSettings, with_overrides
+from elps_core.settings import (
+    BUILT_INTEGRATORS,
+    INTEGRATORS,
+    RenderSettings,
+    StopCriterion,
+    suited,
+    with_overrides,
+)
 
 
 @pytest.mark.parametrize("name", INTEGRATORS)
@@ -108,3 +115,24 @@ def test_a_preset_fills_what_is_not_given() -> None:
     assert settings_from({"preset": "enlightened"}, None, None).integrator == "auto"
     with pytest.raises(SettingsRejected, match="did you mean 'thesis'"):
         settings_from({"preset": "thesus"}, None, None)
+
+
+@pytest.mark.parametrize(
+    ("stop", "paths"),
+    [
+        ({"seconds": 60.0}, 2**21),
+        ({"seconds": 100.0}, 2**21),
+        ({"seconds": 30.0}, 2**20),
+        ({"seconds": 29.0}, 2**19),
+        ({"seconds": 0.5}, 2**17),
+        ({"seconds": 1e6}, 2**23),
+        ({"samples": 4}, 2**21),
+    ],
+)
+def test_the_context_suits_the_time(stop: dict[str, Any], paths: int) -> None:
+    auto = RenderSettings(integrator="auto")
+    assert suited(auto, StopCriterion(**stop)).context.paths == paths
+    fixed = with_overrides(auto, {"context.paths": 4096})
+    assert suited(fixed, StopCriterion(**stop)) == fixed
+    plain = RenderSettings()
+    assert suited(plain, StopCriterion(**stop)) == plain

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import load as load_tensors
 
 from elps_core.errors import SceneRejected, SettingsRejected
 from elps_core.estimate.film import Chunk
 from elps_core.io.exr import read_exr
 from elps_core.settings import ContextSettings, LightSettings, RenderSettings, StopCriterion
+from tests.service.live import ROOM
 from tests.worker.conftest import TINY, chunk_count, finished, wait_for
 from worker.embedded import EmbeddedServer
 from worker.errors import FarmUnavailable
@@ -307,3 +309,32 @@ def test_without_redis_everything_says_so(tmp_path: Path) -> None:
         Farm.connect(FarmSettings(redis_url="", store_url="memory:///"))
     with pytest.raises(SettingsRejected, match="STORE_URL"):
         Farm.connect(FarmSettings(redis_url=gone.url, store_url=""))
+
+
+def test_another_camera_begins_with_what_the_first_has_learnt(farm: Farm, hire: Hire, tmp_path: Path) -> None:
+    """The tables of radiance are the first one's, the pilot images are their own."""
+    hire()
+    tables = {"regions": 16, "rows": 8, "columns": 16, "paths": 1 << 15, "adaptive": False}
+    settings = RenderSettings(
+        integrator="path",
+        direction_sampling="context",
+        width=32,
+        height=32,
+        max_depth=4,
+        context=SMALL_CONTEXT.model_copy(update=tables),
+    )
+    found = []
+    for place in ("0, 0, 4", "0.5, 0.2, 4"):
+        path = tmp_path / "room.xml"
+        path.write_text(ROOM.replace('origin="0, 0, 4"', f'origin="{place}"'))
+        record, created = farm.add_scene(path, "room.xml")
+        assert created
+        job = finished(farm, farm.submit(record.digest, settings, StopCriterion(samples=4)).id)
+        assert (job.state, job.context_hit) == ("completed", False)
+        file = farm.context_file(job.context_digest or "")
+        assert file is not None
+        found.append(load_tensors(file))
+    first, second = found
+    np.testing.assert_array_equal(first["radiance.values"], second["radiance.values"])
+    assert not np.array_equal(first["pilot"], second["pilot"])
+    assert not np.array_equal(first["importance.values"], second["importance.values"])
