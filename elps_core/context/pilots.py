@@ -18,9 +18,9 @@ from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
 from elps_core.settings import ContextSettings, RenderSettings
 
-BLOCK = 1 << 16
+BLOCK = 1 << 15
 """Samples of a block; each film position has two, whose difference tells of noise alone."""
-LEAST, MOST, SECONDS = 3, 16, 0.5
+LEAST, MOST, SECONDS = 3, 16, 0.25
 """Blocks of a candidate; no more are begun after this time."""
 TURNS = 4
 """Samples of a lane, one after the other, as in renders."""
@@ -35,7 +35,7 @@ SUMS = 1 << 10
 
 
 class PilotRunner:
-    """Runs candidates in one scene, each for about half a second."""
+    """Runs candidates in one scene, each for about a quarter of a second."""
 
     def __init__(
         self,
