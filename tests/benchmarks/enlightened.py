@@ -120,7 +120,8 @@ def main(
             if case:
                 case.make(path)
             else:
-                title, path, case = Path(title).stem, Path(title), Case(lambda _: None, EASY, "bdpt")
+                path, case = Path(title), Case(lambda _: None, EASY, "bdpt")
+                title = path.parent.name if path.stem == "scene" else path.stem  # noqa: PLW2901
             context = Path(name) / "context.elps"
             every = {**WAYS, CACHED: [*WAYS["auto"], "--context", str(context)]}
             if CACHED in case.ways:
