@@ -121,8 +121,8 @@ def build_with_progress(
     builder = ContextBuilder(scene, settings)
     if like is not None and not builder.begin_from(like):
         progress.console.print(
-            "warning: the other context is of another scene, has other settings or knows too little of what this camera "
-            "sees: measured anew",
+            "warning: the other context is of another scene, has other settings or knows too little of what "
+            "this camera sees: measured anew",
             highlight=False,
             soft_wrap=True,
         )

@@ -23,7 +23,7 @@ PATHS = 1 << 14
 KNOWN = 0.95
 """Share of what eye paths meet that must lie in regions whose tables rest on enough records."""
 SPREAD = 1.0 / 32.0
-"""Share of the regions that eye paths must be spread over: where all meet a few, those are too large for this camera."""
+"""Share of the regions that eye paths must be spread over: if all meet a few, those are too large for this camera."""
 SHARE = 1.0 / 8.0
 """Share of the usual paths that importance and the pilot image take, once radiance is known."""
 
@@ -34,7 +34,9 @@ def sees_enough(
     """Whether eye paths of ``camera`` meet regions that ``known`` knows well, and many of them."""
     finder = RegionLookup(known.regions)
     visits = np.zeros(known.regions.count)
-    for particles in ClassicalSampler(scene, camera, lights, paths=PATHS, max_depth=max_depth, first_hits=True).run(key):
+    for particles in ClassicalSampler(scene, camera, lights, paths=PATHS, max_depth=max_depth, first_hits=True).run(
+        key
+    ):
         met = particles.of(IMPORTON)
         if not len(met):
             continue

@@ -121,7 +121,7 @@ def main(
                 case.make(path)
             else:
                 path, case = Path(title), Case(lambda _: None, EASY, "bdpt")
-                title = path.parent.name if path.stem == "scene" else path.stem  # noqa: PLW2901
+                title = path.parent.name if path.stem == "scene" else path.stem
             context = Path(name) / "context.elps"
             every = {**WAYS, CACHED: [*WAYS["auto"], "--context", str(context)]}
             if CACHED in case.ways:

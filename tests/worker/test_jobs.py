@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import subprocess
 import time
+import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,7 +19,6 @@ from elps_core.errors import SceneRejected, SettingsRejected
 from elps_core.estimate.film import Chunk
 from elps_core.io.exr import read_exr
 from elps_core.settings import ContextSettings, LightSettings, RenderSettings, StopCriterion
-from tests.service.live import ROOM
 from tests.worker.conftest import TINY, chunk_count, finished, wait_for
 from worker.embedded import EmbeddedServer
 from worker.errors import FarmUnavailable
@@ -311,7 +312,9 @@ def test_without_redis_everything_says_so(tmp_path: Path) -> None:
         Farm.connect(FarmSettings(redis_url=gone.url, store_url=""))
 
 
-def test_another_camera_begins_with_what_the_first_has_learnt(farm: Farm, hire: Hire, tmp_path: Path) -> None:
+def test_another_camera_begins_with_what_the_first_has_learnt(
+    farm: Farm, hire: Hire, upload: Path, tmp_path: Path
+) -> None:
     """The tables of radiance are the first one's, the pilot images are their own."""
     hire()
     tables = {"regions": 16, "rows": 8, "columns": 16, "paths": 1 << 15, "adaptive": False}
@@ -324,10 +327,17 @@ def test_another_camera_begins_with_what_the_first_has_learnt(farm: Farm, hire: 
         context=SMALL_CONTEXT.model_copy(update=tables),
     )
     found = []
-    for place in ("0, 0, 4", "0.5, 0.2, 4"):
-        path = tmp_path / "room.xml"
-        path.write_text(ROOM.replace('origin="0, 0, 4"', f'origin="{place}"'))
-        record, created = farm.add_scene(path, "room.xml")
+    for angle in (70, 60):
+        path = tmp_path / f"{angle}.zip"
+        with zipfile.ZipFile(upload) as source, zipfile.ZipFile(path, "w") as other:
+            for entry in source.namelist():
+                data = source.read(entry)
+                if entry == "scene.xml":
+                    text, count = re.subn(r'(name="fov" value=")[0-9.]+', rf"\g<1>{angle}", data.decode())
+                    assert count == 1
+                    data = text.encode()
+                other.writestr(entry, data)
+        record, created = farm.add_scene(path, path.name)
         assert created
         job = finished(farm, farm.submit(record.digest, settings, StopCriterion(samples=4)).id)
         assert (job.state, job.context_hit) == ("completed", False)

@@ -24,7 +24,7 @@ SETTINGS = ContextSettings(
     regions=256,
     rows=8,
     columns=16,
-    paths=1 << 17,
+    paths=1 << 19,
     tolerance=0.0,
     adaptive=False,
 )

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from elps_core.settings import ContextSettings
+from elps_core.settings import USUAL_PATHS
 
 
 @pytest.fixture(autouse=True)
@@ -15,7 +15,7 @@ def _variant(mi: Any) -> None:
     """What is tested is in a module of kernels."""
 
 
-@pytest.mark.parametrize("paths", [1024, 1 << 15, 100_000, 3 << 19, ContextSettings().paths, 10**8 + 7])
+@pytest.mark.parametrize("paths", [1024, 1 << 15, 100_000, 3 << 19, USUAL_PATHS, 10**8 + 7])
 def test_steps_take_all_paths_and_no_more_than_a_few_seconds(paths: int) -> None:
     from elps_core.context.tables import FIRST_PATHS, MOST_PATHS, _filling
 
