@@ -80,21 +80,32 @@ class Case:
     reference: str = "enlightened bdpt, 4 eye paths"
     factor: float = 1.0
     """Of the seconds of a render."""
+    pictures: tuple[str, ...] = ()
+    """Ways whose pictures the report shows."""
 
 
 PEERS = tuple(PLAIN)
 EASY = (*PEERS, "path", "enlightened path", "bdpt", "enlightened bdpt, 16 eye paths", "auto")
+FOUR = ("bdpt, exitance", "bdpt", "pssmlt, exitance", "pssmlt")
+"""Of figure 5.11 of the thesis."""
 CASES = {
     "door 9": Case(
         lambda path: write(door(angle=9.0), path),
         (*EASY, "pssmlt", "enlightened pssmlt", "thesis bdpt", CACHED),
+        pictures=("mi_path", "enlightened path", "auto"),
     ),
     "door 3": Case(lambda path: write(door(angle=3.0), path), (*PEERS, "enlightened path", "auto"), factor=2.0),
     "maze": Case(
         lambda path: write(maze(), path),
-        (*EASY, "bdpt, exitance", "pssmlt", "pssmlt, exitance"),
+        tuple(dict.fromkeys((*EASY, *FOUR))),
+        pictures=FOUR,
     ),
-    "bulb in glass": Case(bulb, (*PEERS, "bdpt", "enlightened path", "enlightened bdpt", "auto"), "bdpt"),
+    "bulb in glass": Case(
+        bulb,
+        (*PEERS, "bdpt", "enlightened path", "enlightened bdpt", "auto"),
+        "bdpt",
+        pictures=("mi_path", "auto"),
+    ),
     "cornell": Case(lambda path: write(cornell(), path), EASY, "bdpt"),
 }
 
@@ -127,7 +138,7 @@ def main(
             if CACHED in case.ways:
                 render(path, Path(name) / "first.exr", SIZE, 1.0, 0, *every[CACHED])
             stem = title.replace(" ", "-")
-            pictures = {way: REPORT.parent / f"{stem}-{PICTURES[way]}.png" for way in PICTURES if way in case.ways}
+            pictures = {way: REPORT.parent / f"{stem}-{PICTURES[way]}.png" for way in case.pictures}
             ways = {way: every[way] for way in case.ways}
             duel = Duel(title, path, ways, WAYS[case.reference], SIZE, pictures)
             lines = equal_time(duel, case.factor * seconds, case.factor * reference_seconds, runs)

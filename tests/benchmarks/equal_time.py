@@ -62,7 +62,7 @@ def equal_time(duel: Duel, seconds: float, reference_seconds: float, runs: int) 
         f"## Equal time: {duel.title}",
         "",
         f"{duel.size}, depth 16, {seconds:.0f} s a render with loading, compilation and the context counted;",
-        f"{runs} runs each, in turns. relMSE against {made['spp']} samples per pixel of another seed",
+        f"{runs} run{'s' * (runs > 1)} each, in turns. relMSE against {made['spp']} samples per pixel of another seed",
         f"(`{' '.join(duel.reference)}`), whose own relative variance, {own:.5f}, is taken off; *trimmed*",
         f"leaves out {TRIM:.0%} of the pixels, the worst.",
         "Efficiency is 1 / (relMSE seconds), as a ratio to `mi_path` with and without roulette: mean (range over runs;",

@@ -26,8 +26,10 @@ CHOICE = {
     "bdpt": [name for name in ZOO if name not in {"maze", "hair", *COVERED}],
     "pssmlt": ["envmap", "thinlens-wide"],
 }
-MORE = {"path": 2.0, "path pure": 4.0, "light": 6.0, "light pure": 70.0, "bdpt": 1.2, "pssmlt": 5.0}
+MORE = {"path": 2.0, "path pure": 4.0, "light": 6.0, "light pure": 70.0, "bdpt": 1.0, "pssmlt": 5.0}
 """Samples of an algorithm, as a multiple of those of bdpt."""
+NOISY = {"point-through-glass": 1.6}
+"""Scenes that need more samples than others, and how many times more."""
 BOUND = 0.02
 CASES = [(name, algorithm) for name in ZOO for algorithm in ALGORITHMS if name in CHOICE[algorithm]]
 
@@ -35,6 +37,6 @@ CASES = [(name, algorithm) for name in ZOO for algorithm in ALGORITHMS if name i
 @pytest.mark.parametrize(("name", "algorithm"), CASES, ids=[f"{name} by {algorithm}" for name, algorithm in CASES])
 def test_agrees_with_the_reference(agree: Agree, name: str, algorithm: str) -> None:
     assert ZOO[name].reason_without(algorithm) is None, "the choice names what the zoo leaves out"
-    agreement = agree(name, algorithm, more=MORE[algorithm])
+    agreement = agree(name, algorithm, more=MORE[algorithm] * NOISY.get(name, 1.0))
     assert agreement.agrees, agreement
     assert agreement.detectable < BOUND, agreement
