@@ -178,7 +178,7 @@ class ContextBuilder:
             prefix = "tables."
             kept = {name.removeprefix(prefix): part for name, part in record.items() if name.startswith(prefix)}
             self._tables.restore(kept)
-        self._adjoint.batches, self._seconds, self._pilots = batches, seconds, pilots
+        self._adjoint.batches, self._seconds, self._pilots, self._parts = batches, seconds, pilots, None
 
 
 def _pilot(name: str, row: NDArray[np.float64]) -> Pilot:

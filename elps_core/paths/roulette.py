@@ -14,8 +14,8 @@ MAX_SURVIVAL = 0.95
 MIN_SURVIVAL = 0.05
 """Lower limit, so that a survivor's weight stays bounded."""
 MOST_RAISED = 1.5
-"""Upper limit by context of what roulette makes of a path's weight; roulette by albedo keeps to 1. With 3 and more the
-variance of the maze grew by half where tables were few, and fireflies of the door scene became brighter."""
+"""Upper limit by context of what roulette makes of a path's weight; roulette by albedo keeps to 1. On the maze with
+tables of 2048 regions the variance was a third greater with 3 than with 1; on the door there was no difference."""
 
 
 @dataclass(frozen=True)
