@@ -35,6 +35,14 @@ BY_EYE_PATHS = {
     4: "bdpt, enlightened, 4 eye paths",
     16: "bdpt, enlightened, 16 eye paths",
 }
+SCOUTS = ("path, plain", "path, enlightened", "bdpt, plain", "bdpt, enlightened, 4 eye paths")
+"""Those that are compared early in training already, so that it can stop where tables will not pay."""
+AHEAD = 1.25
+"""How many times as efficient as the best enlightened one a plain one must be then: tables are still to improve.
+With a tenth of the usual paths it was 1.4 and 1.6 where a plain one won in the end (a bulb in glass, a staircase), and
+at most 1.1 where it lost (a Cornell box; the maze and the door have less)."""
+HOPELESS = 4.0
+"""Times as efficient as a candidate the best scout is, where that candidate is not measured again."""
 SIGMAS = 3.0
 """Standard errors by which a mean may be off."""
 LEAST = 1e-12
@@ -101,6 +109,28 @@ class Choice:
         return [f"rendered by {self.name} (efficiency in pilots: {shares})"]
 
 
+def plain_wins(scouts: Iterable[Pilot]) -> bool:
+    """Whether training can stop: a plain candidate is so far ahead that tables will not pay."""
+    plain, enlightened = ([p.efficiency for p in _known(scouts) if _is_plain(p.name) is form] for form in (True, False))
+    return max(plain, default=0.0) > AHEAD * max(enlightened, default=float("inf"))
+
+
+def worth_measuring(scouts: Iterable[Pilot]) -> list[str]:
+    """The plain candidates among which the best is, where training has stopped."""
+    known = _known(scouts)
+    best = max(pilot.efficiency for pilot in known)
+    return [pilot.name for pilot in known if _is_plain(pilot.name) and HOPELESS * pilot.efficiency >= best]
+
+
+def _known(pilots: Iterable[Pilot]) -> tuple[Pilot, ...]:
+    every = tuple(pilots)
+    return tuple(pilot.against(every) for pilot in every)
+
+
+def _is_plain(name: str) -> bool:
+    return PLAIN.items() <= CANDIDATES[name].items()
+
+
 def fit_candidates(summary: SceneSummary, settings: ContextSettings) -> list[str]:
     """Candidates that find all light of a scene that any of them finds: pilots do not see what is lost."""
     whole = RenderSettings(integrator="bdpt", max_depth=settings.max_depth, context=settings)
@@ -146,16 +176,15 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
 
 
 def _forms(settings: RenderSettings) -> tuple[str, str]:
-    """The candidates, plain and enlightened, that speak for a named integrator: chains walk over samples of bdpt."""
-    if settings.integrator == "path":
+    """The candidates, plain and enlightened, that speak for a named integrator: chains walk over samples of either."""
+    if settings.integrator == "path" or (settings.integrator == "pssmlt" and settings.pssmlt.over == "path"):
         return "path, plain", "path, enlightened"
     return "bdpt, plain", BY_EYE_PATHS[settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1]
 
 
 def _pilots(statistics: Mapping[str, Any]) -> tuple[Pilot, ...]:
     try:
-        pilots = tuple(Pilot(**entry) for entry in statistics[PILOTS])
-        pilots = tuple(pilot.against(pilots) for pilot in pilots)
+        pilots = _known(Pilot(**entry) for entry in statistics[PILOTS])
         fit = pilots and all(p.name in CANDIDATES and isfinite(p.efficiency) for p in pilots)
     except (KeyError, TypeError):
         fit = False

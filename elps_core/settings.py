@@ -168,8 +168,11 @@ def _pairs(text: str) -> frozenset[tuple[int, int]]:
 
 
 class PssmltSettings(_Model):
-    """Metropolis light transport in primary sample space over bidirectional paths."""
+    """Metropolis light transport in primary sample space."""
 
+    over: Literal["bdpt", "path"] = "bdpt"
+    """Whose samples the states of chains are: a mutation of a pair of bidirectional paths costs several times one of a
+    path, and finds what paths from the sensor alone seldom meet."""
     multiplexed: bool = False
     """Whether a state is a path by one strategy, five times as fast, in place of all strategies of a pair of paths.
     On Veach's bidirectional scene 13 times as efficient as ``mi_path`` at equal time; without, 64 times."""
@@ -179,6 +182,12 @@ class PssmltSettings(_Model):
     """Independent paths from which the initial states of a chunk are drawn, and its mean brightness."""
     chains: Annotated[int, Field(ge=1, le=2**18)] = 65536
     """Chains side by side in one chunk."""
+
+    @model_validator(mode="after")
+    def _check(self) -> PssmltSettings:
+        if self.multiplexed and self.over == "path":
+            raise ValueError("multiplexed: strategies are those of bdpt: leave pssmlt.over, or pssmlt.multiplexed")
+        return self
 
 
 class RenderSettings(_Model):

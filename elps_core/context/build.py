@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from elps_core.choice import PILOTS, Pilot, fit_candidates
+from elps_core.choice import PILOTS, SCOUTS, Pilot, fit_candidates, plain_wins, worth_measuring
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
 from elps_core.context.pilots import PilotRunner
@@ -26,6 +26,9 @@ from elps_core.scene.emission import Emission
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.settings import ContextSettings
+
+SCOUTED_AFTER = 3
+"""Steps of filling before the scouts: 2^15 + 2^16 + 2^17 paths."""
 
 
 class ContextBuilder:
@@ -42,6 +45,7 @@ class ContextBuilder:
         self._adjoint = AdjointMeasurement(scene.scene, camera, Emission(scene.scene), settings)
         self._tables = TableBuilder(scene.scene, camera, settings) if settings.regions else None
         self._candidates = fit_candidates(scene.summary, settings) if settings.regions and settings.adaptive else []
+        self._scouts: list[Pilot] = []
         self._pilots: list[Pilot] = []
         self._parts: DirectionalParts | None = None
         self._seconds = 0.0
@@ -50,7 +54,22 @@ class ContextBuilder:
     @property
     def steps(self) -> int:
         """Steps in all; some at the end are left out where tables have converged before."""
-        return adjoint.STEPS + (self._tables.steps if self._tables else 0) + len(self._candidates)
+        tables = self._tables.steps if self._tables else 0
+        return adjoint.STEPS + tables + (1 if self._scouting else 0) + len(self._measured)
+
+    @property
+    def _scouting(self) -> bool:
+        """Whether scouts say, or are yet to say, if training is to go on to its end."""
+        if not self._tables or not set(SCOUTS) & set(self._candidates):
+            return False
+        left = len(self._tables.filling) - SCOUTED_AFTER
+        converged = self._tables.done == self._tables.steps and not self._scouts
+        return self._tables.knows_nothing and left >= 1 and not converged
+
+    @property
+    def _measured(self) -> list[str]:
+        """Candidates of which there are pilots in the end, or will be."""
+        return worth_measuring(self._scouts) if plain_wins(self._scouts) else self._candidates
 
     def begin_from(self, other: GlobalContext) -> bool:
         """Take over what a context of the same surroundings and settings knows of light; whether it was of use.
@@ -67,7 +86,8 @@ class ContextBuilder:
     @property
     def done(self) -> int:
         """Steps taken."""
-        return len(self._adjoint.batches) + (self._tables.done if self._tables else 0) + len(self._pilots)
+        scouted = 1 if self._scouts else 0
+        return len(self._adjoint.batches) + (self._tables.done if self._tables else 0) + scouted + len(self._pilots)
 
     def step(self) -> None:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`."""
@@ -80,24 +100,27 @@ class ContextBuilder:
                 measured.image(), measured.emission, self._settings.epsilon, self._settings.exponent
             )
             lights = StartDensity(measured.emission, table)
-            if self._tables.done < self._tables.steps:
+            if self._scouting and not self._scouts and self._tables.filled == SCOUTED_AFTER:
+                self._scout(self._tables, lights)
+            elif self._tables.done < self._tables.steps:
                 self._tables.step(lights)
             else:
-                runner = PilotRunner(
-                    self._scene.scene,
-                    Camera(self._scene.sensor),
-                    lights,
-                    self._directions(self._tables),
-                    self._settings,
-                )
-                self._pilots.append(runner.run(self._candidates[len(self._pilots)]))
+                self._parts = self._parts or self._tables.result()
+                runner = self._runner(self._parts, lights)
+                self._pilots.append(runner.run(self._measured[len(self._pilots)]))
         self._seconds += time.perf_counter() - begin
 
-    def _directions(self, tables: TableBuilder) -> DirectionalParts:
-        """The tables as all that follows will have them: encoded."""
-        if self._parts is None:
-            self._parts = tables.result()
-        return self._parts
+    def _scout(self, tables: TableBuilder, lights: StartDensity) -> None:
+        """Compare a few candidates by the tables so far; no more steps for these where a plain one is far ahead."""
+        parts = tables.result()
+        runner = self._runner(parts, lights)
+        self._scouts = [runner.run(name, limit=0.0) for name in SCOUTS if name in self._candidates]
+        if plain_wins(self._scouts):
+            tables.stop()
+            self._parts = parts
+
+    def _runner(self, parts: DirectionalParts, lights: StartDensity) -> PilotRunner:
+        return PilotRunner(self._scene.scene, Camera(self._scene.sensor), lights, parts, self._settings)
 
     def result(self) -> GlobalContext:
         """The context, once all steps are taken.
@@ -119,7 +142,7 @@ class ContextBuilder:
         }
         begin = time.perf_counter()
         tables = self._tables
-        parts = self._directions(tables) if tables else None
+        parts = self._parts = self._parts or (tables.result() if tables else None)
         if tables and parts:
             statistics |= {
                 "particles": tables.particles,
@@ -129,7 +152,10 @@ class ContextBuilder:
                 "median_records": float(np.median(parts.radiance.evidence)),
             }
         if self._candidates:
-            statistics[PILOTS] = [asdict(pilot) for pilot in self._pilots]
+            # Of candidates that were not measured again all is known that scouts have said.
+            again = {pilot.name for pilot in self._pilots}
+            kept = [pilot for pilot in self._scouts if plain_wins(self._scouts) and pilot.name not in again]
+            statistics[PILOTS] = [asdict(pilot) for pilot in (*self._pilots, *kept)]
         self._seconds += time.perf_counter() - begin
         statistics = {"seconds": round(self._seconds, 3), **statistics}
         return GlobalContext(
@@ -150,7 +176,9 @@ class ContextBuilder:
         if self._tables:
             parts |= {f"tables.{name}": array for name, array in self._tables.arrays().items()}
         if self._pilots:
-            parts["pilots"] = np.array([astuple(pilot)[1:] for pilot in self._pilots])
+            parts["pilots"] = _rows(self._pilots)
+        if self._scouts:
+            parts["scouts"] = _rows(self._scouts)
         return save_tensors({name: np.ascontiguousarray(array) for name, array in parts.items()})
 
     def restore(self, data: bytes) -> None:
@@ -162,8 +190,11 @@ class ContextBuilder:
         try:
             record = load_tensors(data)
             batches, seconds = record["batches"], float(record["seconds"][0])
-            rows = record.get("pilots", np.zeros((0, 6)))
-            pilots = [_pilot(name, row) for name, row in zip(self._candidates, rows, strict=False)]
+            none = np.zeros((0, 6))
+            early = [name for name in SCOUTS if name in self._candidates]
+            scouts = [_pilot(*entry) for entry in zip(early, record.get("scouts", none), strict=False)]
+            names = worth_measuring(scouts) if plain_wins(scouts) else self._candidates
+            pilots = [_pilot(*entry) for entry in zip(names, record.get("pilots", none), strict=False)]
         except (SafetensorError, KeyError, IndexError, TypeError, ValueError):
             raise ContextMismatch(UNFIT) from None
         grid = (self._adjoint.rows, self._adjoint.columns)
@@ -178,7 +209,13 @@ class ContextBuilder:
             prefix = "tables."
             kept = {name.removeprefix(prefix): part for name, part in record.items() if name.startswith(prefix)}
             self._tables.restore(kept)
-        self._adjoint.batches, self._seconds, self._pilots, self._parts = batches, seconds, pilots, None
+        self._adjoint.batches, self._seconds = batches, seconds
+        self._scouts, self._pilots, self._parts = scouts, pilots, None
+
+
+def _rows(pilots: list[Pilot]) -> NDArray[np.float64]:
+    """[n, 6]: all that pilots say but their names."""
+    return np.array([astuple(pilot)[1:] for pilot in pilots], np.float64)
 
 
 def _pilot(name: str, row: NDArray[np.float64]) -> Pilot:

@@ -21,7 +21,7 @@ from elps_core.settings import ContextSettings, RenderSettings
 BLOCK = 1 << 15
 """Samples of a block; each film position has two, whose difference tells of noise alone."""
 LEAST, MOST, SECONDS = 3, 16, 0.25
-"""Blocks of a candidate; no more are begun after this time."""
+"""Blocks of a candidate; no more are begun after this time, if nothing else is said."""
 TURNS = 4
 """Samples of a lane, one after the other, as in renders."""
 DARK = 0.01
@@ -56,14 +56,14 @@ class PilotRunner:
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(camera.size.x), height / int(camera.size.y)])
 
-    def run(self, name: str) -> Pilot:
-        """Measure the candidate ``name``."""
+    def run(self, name: str, limit: float = SECONDS) -> Pilot:
+        """Measure the candidate ``name``; no block but the least is begun after ``limit`` seconds."""
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
         key = (self._settings.context.seed, STREAM, list(CANDIDATES).index(name))
         found: list[tuple[float, float]] = []  # Variance and mean of each block
         seconds, begin = 0.0, time.perf_counter()
-        while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < SECONDS):
+        while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < limit):
             start = time.perf_counter()
             found.append(self._block(bdpt, (*key, len(found))))
             if len(found) == 1:  # Compiled, and perhaps for the first time

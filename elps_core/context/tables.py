@@ -99,6 +99,20 @@ class TableBuilder:
         """Steps taken."""
         return self._made.done
 
+    @property
+    def knows_nothing(self) -> bool:
+        """Whether all is measured here, with nothing known of another camera's tables."""
+        return self._made.known is None
+
+    @property
+    def filled(self) -> int:
+        """Steps of filling taken."""
+        return max(0, self._made.done - (1 + CLUSTER_STEPS if self.knows_nothing else 0))
+
+    def stop(self) -> None:
+        """Take no more steps: the tables are good enough, or not worth it. Once filling has begun."""
+        self._made.done = self.steps
+
     def begin_from(self, known: DirectionalParts, lights: StartDensity) -> bool:
         """Take over the regions and the radiance of another camera's tables, if this one sees enough of them.
 
@@ -134,7 +148,8 @@ class TableBuilder:
         else:
             self._fill(lights, self._made.done - 1 - CLUSTER_STEPS)
             if self.relative_error() <= self.settings.tolerance:
-                self._made.done = self.steps - 1
+                self.stop()
+                return
         self._made.done += 1
 
     @property

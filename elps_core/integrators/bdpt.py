@@ -143,9 +143,11 @@ class Bdpt:
         self.directions = directions
         self.worth = worth
         self.thinning = thinning
+        # Data, not code: 4 and 16 eye paths for a light path are one kernel.
+        self._fraction = 1.0 if thinning == 1 else dr.opaque(mi.Float, 1.0 / thinning)
         self.region_lights = region_lights
         self.connector = Connector(
-            scene, camera, lights, self.directions, self.strategies, self.heuristic, thinning, region_lights
+            scene, camera, lights, self.directions, self.strategies, self.heuristic, self._fraction, region_lights
         )
         self.slots = max(0, max_depth - 2) if self.strategies.joins else 0
         """Light vertices stored per lane: deeper ones can only be joined to the sensor."""
@@ -304,7 +306,7 @@ class Bdpt:
         return Walk(
             ray=ray,
             beta=radiance * (cosine / (start.pdf * pdf)),
-            partial=self._full(self.heuristic.start(pdf_point, cosine, pdf, "light", 1.0 / self.thinning), lanes),
+            partial=self._full(self.heuristic.start(pdf_point, cosine, pdf, "light", self._fraction), lanes),
             eta=dr.ones(mi.Float, lanes),
             depth=dr.zeros(mi.UInt32, lanes),
             offset=dr.zeros(mi.Float, lanes),

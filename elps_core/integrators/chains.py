@@ -1,6 +1,7 @@
 """Many Markov chains side by side: one step of Metropolis-Hastings in primary sample space [thesis 3.8.2].
 
-A state's target is the luminance of all its contributions to the film [Kelemen et al. 2002]. They are
+A state's target is the luminance of all its contributions to the film [Kelemen et al. 2002], weighted by where
+they fall, so that chains can be sent to where the relative noise is. Contributions are
 kept in memory, on sheets of two halves: one for the chain's state, one for its proposal; to accept is to
 swap them. Both count with their expected share, and a state goes to the film once, when a chain leaves it.
 """
@@ -31,6 +32,15 @@ Put: TypeAlias = "Callable[[mi.Point2f, mi.Color3f, mi.Bool], None]"
 """Adds linear RGB at film positions, pixels relative to the crop window."""
 
 
+PixelWeight: TypeAlias = "Callable[[mi.Point2f], mi.Float]"
+"""What a unit of luminance counts in the target at a film position; positive."""
+
+
+def alike(position: mi.Point2f) -> mi.Float:
+    """All pixels count the same."""
+    return dr.full(mi.Float, 1.0, dr.width(position))
+
+
 class Target(Protocol):
     """What the chains sample: light as a function of primary samples, in one or more groups of states."""
 
@@ -56,7 +66,7 @@ class Sheet:
     """Contributions of the chains' states and proposals."""
 
     where: mi.Float  # Film positions, [2, slots, chains, 2]
-    value: mi.Float  # Linear RGB and luminance, [2, slots, chains, 4]
+    value: mi.Float  # Linear RGB and weighted luminance, [2, slots, chains, 4]
     count: mi.UInt32  # Slots that the chains' states fill
     slots: int
 
@@ -67,10 +77,16 @@ class Sheet:
         return Sheet(where, value, dr.zeros(mi.UInt32, chains), slots)
 
     def write(
-        self, index: mi.UInt32, where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool
+        self,
+        index: mi.UInt32,
+        where: mi.Point2f,
+        value: mi.Spectrum,
+        wavelengths: mi.Spectrum,
+        weight: PixelWeight,
+        active: mi.Bool,
     ) -> mi.Float:
-        """Keep a contribution and return its luminance. What is not a number counts as nothing."""
-        rgb, bright = mi.Color3f(to_rgb(value, wavelengths)), luminance(value, wavelengths)
+        """Keep a contribution and return its weighted luminance. What is not a number counts as nothing."""
+        rgb, bright = mi.Color3f(to_rgb(value, wavelengths)), luminance(value, wavelengths) * weight(where)
         finite = dr.isfinite(bright + dr.sum(rgb) + dr.sum(where))
         bright = dr.select(finite, dr.maximum(bright, 0.0), 0.0)
         rgb, where = dr.select(finite, rgb, 0.0), dr.select(finite, where, 0.0)
@@ -134,12 +150,14 @@ class Left:
     target: mi.Float  # Of the proposal, left behind or not
 
 
-def advance(target: Target, state: Chains, step: Step, put: Put, *, move: bool = True) -> mi.Float:
+def advance(
+    target: Target, state: Chains, step: Step, put: Put, weight: PixelWeight = alike, *, move: bool = True
+) -> mi.Float:
     """Take the chains one step on, in place; returns the targets of what was proposed.
 
     States that are left are ``put`` on the film. Without ``move`` the chains forget their primary samples.
     """
-    left, large, accepted = propose(target, state, step)
+    left, large, accepted = propose(target, state, step, weight)
     dr.eval(state, left, large, accepted)
     if move:
         for vectors, proposal, used in zip(state.vectors, streams(state, step)[1:], step.dimensions, strict=True):
@@ -149,7 +167,7 @@ def advance(target: Target, state: Chains, step: Step, put: Put, *, move: bool =
     return left.target
 
 
-def propose(target: Target, state: Chains, step: Step) -> tuple[Left, mi.Bool, mi.Bool]:
+def propose(target: Target, state: Chains, step: Step, weight: PixelWeight = alike) -> tuple[Left, mi.Bool, mi.Bool]:
     """Make a proposal for every chain, and accept or reject it; renews all of ``state`` but the vectors.
 
     Returns what is left, and whether steps were large and were accepted.
@@ -170,10 +188,10 @@ def propose(target: Target, state: Chains, step: Step) -> tuple[Left, mi.Bool, m
         calls += 1
         active = active & dr.any(value != 0.0)
         slot = dr.scatter_inc(count, lane, active)
-        sheet.write((new * sheet.slots + slot) * stride + lane, where, value, wavelengths, active)
+        sheet.write((new * sheet.slots + slot) * stride + lane, where, value, wavelengths, weight, active)
 
     where, value, wavelengths = target.evaluate((proposals[0], proposals[1]), step.group, splat)
-    bright = first.write(new * stride + lane, where, value, wavelengths, mi.Bool(True))
+    bright = first.write(new * stride + lane, where, value, wavelengths, weight, mi.Bool(True))
     for sheet, count in zip(others, counts, strict=True):
         bright = bright + _luminance(sheet, new, stride, count)
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt
+from elps_core.integrators.chains import alike
 from elps_core.integrators.frame import Frame, FrameRenderer
 from elps_core.integrators.pssmlt import MetropolisFrames
 from elps_core.paths.roulette import RouletteRule
@@ -46,7 +47,8 @@ def frames(
     """
     bdpt = paths_of(scene, Camera(sensor), lights, settings, parts)
     if settings.integrator == "pssmlt":
-        return MetropolisFrames(bdpt, sensor.film(), settings.pssmlt)
+        weight = PixelWorth(parts.pilot, parts.noise, bdpt.camera.size) if parts else alike
+        return MetropolisFrames(bdpt, sensor.film(), settings.pssmlt, weight)
     return FrameRenderer(bdpt, sensor.film())
 
 
@@ -74,7 +76,7 @@ def _directions(settings: RenderSettings, strategies: Strategies, parts: Directi
     if parts is None:
         return SCATTERING
     share = settings.table_share if settings.direction_sampling == "context" else 0.0
-    guided_light = settings.integrator != "bdpt" or settings.bdpt.guided_light
+    guided_light = settings.integrator == "light" or settings.bdpt.guided_light
     return guided(
         parts,
         eye=share if strategies.eye_paths else None,

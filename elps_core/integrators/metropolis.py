@@ -30,7 +30,18 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.integrators.chains import SLOT_BYTES, Chains, Put, Step, Target, advance, remaining, to_film
+from elps_core.integrators.chains import (
+    SLOT_BYTES,
+    Chains,
+    PixelWeight,
+    Put,
+    Step,
+    Target,
+    advance,
+    alike,
+    remaining,
+    to_film,
+)
 from elps_core.paths.stream import key_seed, opaque_key
 from elps_core.settings import PssmltSettings
 
@@ -90,10 +101,11 @@ class Scales:
 
 
 class Metropolis:
-    """Sets of chains over one target."""
+    """Sets of chains over one target; ``weight`` is what a unit of luminance counts in it, by place on the film."""
 
-    def __init__(self, target: Target, settings: PssmltSettings) -> None:
+    def __init__(self, target: Target, settings: PssmltSettings, weight: PixelWeight = alike) -> None:
         self.target = target
+        self.weight = weight
         self.settings = settings
         slots = 1 + sum(target.splats)
         size = SLOT_BYTES * slots + sum(4 * int(dimensions.max()) for dimensions in target.dimensions)
@@ -128,14 +140,14 @@ class Metropolis:
         state = Chains.dark(self.target, chains)
         # A large step with the numbers of the bootstrap, from no light: always taken.
         first = self._step((*key, BOOTSTRAP), chosen, group, 1.0, Scales(none, none, none))
-        advance(self.target, state, first, put)
+        advance(self.target, state, first, put, self.weight)
         state.large, state.took_large = dr.zeros(mi.Float, chains), dr.zeros(mi.Float, chains)
         dr.make_opaque(state.large, state.took_large)
         scales = replace(scales, chain=measured.mean / visits)
         step = self._step((*key, FIRST), np.arange(chains), group, large_step, scales)
         for iteration in range(iterations):
             step.key = opaque_key(*key, FIRST + iteration)
-            advance(self.target, state, step, put)
+            advance(self.target, state, step, put, self.weight)
         to_film(state, remaining(state), put)
         large, took_large, took_small = (
             float(np.array(x, np.float64).sum()) for x in (state.large, state.took_large, state.took_small)
@@ -168,7 +180,7 @@ class Metropolis:
         for first in range(0, len(group), chains):
             names = np.arange(first, first + chains)
             step = self._step((*key, BOOTSTRAP), names, group[first : first + chains], 1.0, scales)
-            found.append(advance(self.target, state, step, put, move=False))
+            found.append(advance(self.target, state, step, put, self.weight, move=False))
         to_film(state, remaining(state), put)
         return np.concatenate([np.array(target, np.float64) for target in found])
 

@@ -1,7 +1,7 @@
 """Metropolis light transport in primary sample space: frames from chains [Kelemen et al. 2002; thesis 4.7.4].
 
-A state is all strategies of a pair of paths (:class:`Bidirectional`), or one strategy of a path of
-fixed length (:mod:`elps_core.integrators.multiplexed`). Light that the sensor sees directly is outside
+A state is all strategies of a pair of paths, or of an eye path alone (:class:`Samples`), or one strategy of a
+path of fixed length (:mod:`elps_core.integrators.multiplexed`). Light that the sensor sees directly is outside
 the chains, where they would spend themselves on what a few plain samples show.
 """
 
@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from elps_core.integrators.bdpt import Bdpt, Splat
-from elps_core.integrators.chains import Target
+from elps_core.integrators.chains import PixelWeight, Target, alike
 from elps_core.integrators.frame import Frame, FrameRenderer
 from elps_core.integrators.metropolis import Metropolis
 from elps_core.integrators.multiplexed import SHORTEST, START_NUMBERS, Multiplexed, head_numbers, step_numbers
@@ -28,8 +28,8 @@ DIRECT_SHARE = 4
 """Mutations for one plain sample of what the sensor sees directly: there is no noise in it but at edges."""
 
 
-class Bidirectional:
-    """States that are samples of bidirectional path tracing: one eye path, one light path, all connections."""
+class Samples:
+    """States that are whole samples: one eye path, and with it one light path and all connections, if there are any."""
 
     def __init__(self, bdpt: Bdpt) -> None:
         self.bdpt = bdpt.selecting(replace(bdpt.strategies, direct=False))
@@ -38,7 +38,7 @@ class Bidirectional:
         step = step_numbers(bdpt)
         eye = head_numbers(bdpt) + bdpt.max_depth * (NEXT_EVENT_NUMBERS + step)
         light_depth = bdpt.max_depth if bdpt.strategies.aperture else bdpt.max_depth - 1
-        light = START_NUMBERS + light_depth * (aperture + step)
+        light = START_NUMBERS + light_depth * (aperture + step) if bdpt.strategies.light_paths else 1
         self.dimensions = (np.array([eye], np.uint32), np.array([light], np.uint32))
         self.splats: tuple[int, ...] = (bdpt.max_depth,) * (bdpt.strategies.sensor + bdpt.strategies.aperture)
 
@@ -57,7 +57,7 @@ class Bidirectional:
 class MetropolisFrames:
     """Renders frames of one film by Metropolis light transport."""
 
-    def __init__(self, bdpt: Bdpt, film: mi.Film, settings: PssmltSettings) -> None:
+    def __init__(self, bdpt: Bdpt, film: mi.Film, settings: PssmltSettings, worth: PixelWeight = alike) -> None:
         emission = bdpt.lights.emission
         self.statistics: dict[str, float] = {}
         """What the last render says of its chains: see :meth:`Metropolis.run`."""
@@ -65,8 +65,8 @@ class MetropolisFrames:
         self._visible = emission.has_surface or emission.has_environment
         self._chains: Metropolis | None = None
         if bdpt.max_depth >= SHORTEST:
-            target: Target = Multiplexed(bdpt) if settings.multiplexed else Bidirectional(bdpt)
-            self._chains = Metropolis(target, settings)
+            target: Target = Multiplexed(bdpt) if settings.multiplexed else Samples(bdpt)
+            self._chains = Metropolis(target, settings, worth)
 
     def render(self, spp: int, key: tuple[int, ...]) -> Frame:
         """``spp`` mutations per pixel by a set of chains of its own, named by ``key``."""

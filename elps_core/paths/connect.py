@@ -30,8 +30,8 @@ SHADOW = 1.0 - 1e-4
 class Connector:
     """The ways in which one selection of strategies joins subpaths.
 
-    For ``thinning`` eye paths there is one light path: its strategies, s >= 2, count in all weights with a
-    density that is as much smaller.
+    There may be fewer light paths than eye paths, a ``fraction`` of them: their strategies, s >= 2, count in all
+    weights with a density that is as much smaller.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Connector:
         directions: Directions,
         strategies: Strategies,
         heuristic: Heuristic,
-        thinning: int = 1,
+        fraction: mi.Float | float = 1.0,
         region_lights: RegionLights | None = None,
     ) -> None:
         self.scene = scene
@@ -52,7 +52,7 @@ class Connector:
         self.directions = directions
         self.strategies = strategies
         self.heuristic = heuristic
-        self._fraction = 1.0 / thinning
+        self._fraction = fraction
         # Where frames bend, the two paths through a vertex may see its region from different sides.
         self.region_lights = None if strategies.light_paths and self.surfaces.bends_frames else region_lights
         self._side = heuristic.length + 1

@@ -64,7 +64,9 @@ class Heuristic:
         """Numbers in :attr:`Partial.dvc`."""
         return self.length if self.kind == "cutoff" else 1
 
-    def start(self, pdf_point: mi.Float, cosine: mi.Float, pdf: mi.Float, side: Side, fraction: float = 1.0) -> Partial:
+    def start(
+        self, pdf_point: mi.Float, cosine: mi.Float, pdf: mi.Float, side: Side, fraction: mi.Float | float = 1.0
+    ) -> Partial:
         """At a subpath's first vertex, when its first direction was drawn with density ``pdf``.
 
         ``pdf_point`` is the density of the first vertex itself where the other subpath could find it

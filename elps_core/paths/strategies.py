@@ -74,6 +74,8 @@ def chosen(settings: RenderSettings, *, aperture: bool) -> Strategies:
     """
     if settings.integrator == "path":
         return path(next_event=settings.path.next_event)
+    if settings.integrator == "pssmlt" and settings.pssmlt.over == "path":
+        return path()
     if settings.integrator == "light":
         return light(connect=settings.light.connect, aperture=aperture)
     every = bdpt(aperture=aperture)

@@ -254,6 +254,9 @@ def _resize(sensor: Node, objects: list[Node], size: tuple[int, int]) -> None:
 def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> mi.Scene:
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
+    # Objects made in parallel are numbered in the order in which threads were done, kernels that call them differ from
+    # process to process, and none is found again on disk.
+    config.parallel = False
     # Mitsuba 3.9 leaves a merged mesh of rectangles without a bounding box, and the scene with it; shapes
     # also keep their ids this way.
     config.merge_meshes = False

@@ -7,7 +7,20 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from elps_core.choice import CANDIDATES, PILOTS, Choice, Pilot, candidate, choose, fit_candidates
+from elps_core.choice import (
+    AHEAD,
+    CANDIDATES,
+    HOPELESS,
+    PILOTS,
+    SCOUTS,
+    Choice,
+    Pilot,
+    candidate,
+    choose,
+    fit_candidates,
+    plain_wins,
+    worth_measuring,
+)
 from elps_core.errors import ContextMismatch
 from elps_core.scene.summary import SceneSummary
 from elps_core.settings import ContextSettings, RenderSettings, with_overrides
@@ -47,18 +60,21 @@ def test_auto_takes_over_what_every_candidate_has() -> None:
 
 
 @pytest.mark.parametrize(
-    ("integrator", "eye_paths", "plain", "enlightened"),
+    ("integrator", "changes", "plain", "enlightened"),
     [
-        ("path", 1, "pp", "pe"),
-        ("bdpt", 1, "bp", "be"),
-        ("bdpt", 4, "bp", "be4ep"),
-        ("bdpt", 16, "bp", "be1ep"),
-        ("light", 1, "bp", "be"),
-        ("pssmlt", 1, "bp", "be"),
+        ("path", {}, "pp", "pe"),
+        ("bdpt", {}, "bp", "be"),
+        ("bdpt", {"bdpt.eye_paths": 4}, "bp", "be4ep"),
+        ("bdpt", {"bdpt.eye_paths": 16}, "bp", "be1ep"),
+        ("light", {}, "bp", "be"),
+        ("pssmlt", {}, "bp", "be"),
+        ("pssmlt", {"pssmlt.over": "path"}, "pp", "pe"),
     ],
 )
-def test_a_named_integrator_keeps_its_name(integrator: str, eye_paths: int, plain: str, enlightened: str) -> None:
-    asked = with_overrides(RenderSettings(integrator=integrator, **CONTEXT), {"bdpt.eye_paths": eye_paths})
+def test_a_named_integrator_keeps_its_name(
+    integrator: str, changes: dict[str, Any], plain: str, enlightened: str
+) -> None:
+    asked = with_overrides(RenderSettings(integrator=integrator, **CONTEXT), changes)
     names = {"".join(word[0] for word in name.replace(",", "").split()) for name in CANDIDATES}
     others = dict.fromkeys(names - {plain, enlightened}, 100.0)
     won = choose(asked, statistics(**others, **{enlightened: 2.0}))
@@ -102,6 +118,34 @@ BROKEN: list[dict[str, Any]] = [
 def test_without_pilots_there_is_no_choice(broken: dict[str, Any]) -> None:
     with pytest.raises(ContextMismatch, match="no pilots"):
         choose(AUTO, broken)
+
+
+def scouts(**efficiencies: float) -> list[Pilot]:
+    return [Pilot(**e) for e in statistics(**efficiencies)[PILOTS] if e["name"] in SCOUTS]
+
+
+@pytest.mark.parametrize(
+    ("efficiencies", "wins"),
+    [
+        ({}, False),
+        ({"pp": 1.01 * AHEAD}, True),
+        ({"bp": 1.01 * AHEAD}, True),
+        ({"pp": 1.01 * AHEAD, "be4ep": 1.02}, False),
+        ({"pp": 0.1, "bp": 0.1}, False),
+    ],
+)
+def test_training_stops_where_a_plain_one_is_far_ahead(efficiencies: dict[str, float], wins: bool) -> None:
+    assert plain_wins(scouts(**efficiencies)) is wins
+
+
+def test_scouts_need_something_to_compare() -> None:
+    assert not plain_wins([])
+    assert not plain_wins(scouts()[:1])
+
+
+def test_hopeless_plain_candidates_are_not_measured_again() -> None:
+    assert worth_measuring(scouts(pp=9.0)) == ["path, plain"]
+    assert worth_measuring(scouts(pp=9.0, bp=9.1 / HOPELESS)) == ["path, plain", "bdpt, plain"]
 
 
 def test_auto_needs_pilots() -> None:

@@ -31,6 +31,7 @@ def test_every_setting_of_an_algorithm_can_be_set_by_name() -> None:
         "light.connect": "false",
         "bdpt.strategies": "2,2 0,4",
         "bdpt.weighted": "false",
+        "pssmlt.over": "bdpt",
         "pssmlt.multiplexed": "true",
         "pssmlt.large_step": "0.3",
         "pssmlt.bootstrap": "4096",
@@ -43,6 +44,7 @@ def test_every_setting_of_an_algorithm_can_be_set_by_name() -> None:
     assert settings.bdpt.pairs() == {(0, 4), (2, 2)}
     assert not settings.bdpt.weighted
     assert settings.pssmlt.model_dump() == {
+        "over": "bdpt",
         "multiplexed": True,
         "large_step": 0.3,
         "bootstrap": 4096,
@@ -76,7 +78,7 @@ def test_a_context_is_needed_where_lights_are_sampled() -> None:
         (["path.next_events=true"], "unknown setting 'path.next_events' (did you mean 'path.next_event'?)"),
         (["chains=5"], "unknown setting 'chains'"),
         (["bdpt.strategies.s=1"], "unknown setting 'bdpt.strategies.s'"),
-        (["pssmlt=1024"], "'pssmlt' is a group of settings: name one of pssmlt.multiplexed, pssmlt.large_step"),
+        (["pssmlt=1024"], "'pssmlt' is a group of settings: name one of pssmlt.over, pssmlt.multiplexed"),
         (["heuristic=best"], "heuristic: Input should be 'balance', 'power', 'maximum' or 'cutoff'"),
         (["path.next_event=no"], "path.next_event: give true or false"),
         (["pssmlt.chains=1.5"], "pssmlt.chains: "),

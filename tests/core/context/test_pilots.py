@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elps_core.choice import CANDIDATES, PILOTS, candidate
+from elps_core.choice import CANDIDATES, PILOTS, SCOUTS, Pilot, candidate, choose
 from elps_core.context.store import GlobalContext
 from elps_core.scene.generate import cornell, write
 from elps_core.scene.loader import LoadedScene, load_scene
@@ -50,6 +50,36 @@ def test_every_candidate_has_a_pilot(box: LoadedScene) -> None:
     pilots = context_of(box).statistics[PILOTS]
     assert [entry["name"] for entry in pilots] == list(CANDIDATES)
     assert all(entry["microseconds"] > 0.0 and entry["samples"] >= 3 << 15 for entry in pilots)
+
+
+@pytest.mark.parametrize("ahead", [0.0, 1e9], ids=["plain wins", "plain loses"])
+def test_training_stops_where_scouts_see_that_tables_do_not_pay(
+    box: LoadedScene, ahead: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from elps_core import choice
+    from elps_core.context.build import SCOUTED_AFTER, ContextBuilder
+    from elps_core.context.tables import FIRST_PATHS
+
+    monkeypatch.setattr(choice, "AHEAD", ahead)
+    settings = SETTINGS.model_copy(update={"paths": 1 << 19})
+    builder, most = ContextBuilder(box, settings), 0
+    while builder.done < builder.steps:
+        saved, done, most = builder.to_bytes(), builder.done, max(most, builder.steps)
+        builder = ContextBuilder(box, settings)
+        builder.restore(saved)  # What scouts said holds in the next process, too
+        assert builder.done == done
+        builder.step()
+    statistics = builder.result().statistics
+    pilots = [Pilot(**entry) for entry in statistics[PILOTS]]
+    if ahead:
+        assert statistics["table_paths"] == 1 << 19
+        assert [pilot.name for pilot in pilots] == list(CANDIDATES)
+    else:
+        assert statistics["table_paths"] == sum(FIRST_PATHS << step for step in range(SCOUTED_AFTER))
+        assert builder.steps < most
+        assert {pilot.name for pilot in pilots} == set(SCOUTS)
+    best = choose(RenderSettings(integrator="auto"), statistics).name
+    assert best in {pilot.name for pilot in pilots}
 
 
 @pytest.mark.parametrize("name", CANDIDATES)

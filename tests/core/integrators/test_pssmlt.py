@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from elps_core import device
 from elps_core.settings import PssmltSettings
@@ -74,13 +75,15 @@ class Even:
         return SIDE * streams[0].next_2d(), mi.Color3f(1.0), mi.Color0f()
 
 
-def images_of(mi: Any, target: Any, settings: PssmltSettings, mutations: int, count: int) -> tuple[Array, list[Any]]:
+def images_of(
+    mi: Any, target: Any, settings: PssmltSettings, mutations: int, count: int, **options: Any
+) -> tuple[Array, list[Any]]:
     """Images [count, SIDE, SIDE, 3] of independent chain sets, and what each says of itself."""
     import drjit as dr
 
     from elps_core.integrators.metropolis import Metropolis
 
-    sets, images, statistics = Metropolis(target, settings), [], []
+    sets, images, statistics = Metropolis(target, settings, **options), [], []
     for index in range(count):
         block = mi.ImageBlock(mi.ScalarVector2u(SIDE), mi.ScalarPoint2i(0), 4, mi.load_dict({"type": "box"}))
 
@@ -109,6 +112,27 @@ def test_chains_have_the_expected_image_from_their_first_state_on(mi: Any, mutat
     settings = PssmltSettings(bootstrap=1024, chains=512, large_step=large_step)
     images, _ = images_of(mi, Toy(), settings, mutations, 64 if mutations < 10000 else 24)
     agrees_with(images, Toy().image(), 0.06)
+
+
+def test_chains_may_go_where_little_light_is(mi: Any) -> None:
+    """Weights of film positions change what chains look for, and not what they find."""
+    settings = PssmltSettings(bootstrap=1024, chains=512, large_step=0.3)
+    images, statistics = images_of(mi, Toy(), settings, 16384, 24, weight=lambda at: 0.1 + at.x * at.x)
+    agrees_with(images, Toy().image(), 0.06)
+    mean = float(Toy().image().mean(axis=(0, 1)) @ [0.212671, 0.715160, 0.072169])
+    assert abs(statistics[0]["b"] / mean - 1.0) > 0.5, "the target is another one"
+
+
+@pytest.mark.parametrize("emitter", ["area", "point"])
+def test_states_may_be_eye_paths_alone(mi: Any, emitter: str) -> None:
+    options = {"pssmlt__over": "path", "pssmlt__bootstrap": 4096}
+    images = render(sphere(mi, emitter, lens=0.25), "pssmlt", images=16, spp=64, max_depth=3, **options)
+    check(images, up_to(emitter, 3), bound=0.03)
+
+
+def test_strategies_need_both_paths() -> None:
+    with pytest.raises(ValidationError, match=r"leave pssmlt.over"):
+        PssmltSettings(over="path", multiplexed=True)
 
 
 def test_what_is_not_a_number_counts_as_nothing_and_the_rest_stays(mi: Any) -> None:
@@ -168,7 +192,7 @@ def test_as_many_numbers_are_kept_as_are_taken(mi: Any, multiplexed: bool, lens:
 
     from elps_core.integrators.bdpt import Bdpt
     from elps_core.integrators.multiplexed import Multiplexed
-    from elps_core.integrators.pssmlt import Bidirectional
+    from elps_core.integrators.pssmlt import Samples
     from elps_core.paths.primary import PrimaryStream
     from elps_core.paths.roulette import RouletteRule
     from elps_core.paths.stream import generator, opaque_key
@@ -181,7 +205,7 @@ def test_as_many_numbers_are_kept_as_are_taken(mi: Any, multiplexed: bool, lens:
     lights = StartDensity(emission, power_table(emission))
     rule = RouletteRule(roulette, 8)
     bdpt = Bdpt(scene, Camera(scene.sensors()[0]), lights, max_depth=3, roulette=rule)
-    target = Multiplexed(bdpt) if multiplexed else Bidirectional(bdpt)
+    target = Multiplexed(bdpt) if multiplexed else Samples(bdpt)
     lanes = 256
     for group in range(target.groups):
         counters: list[list[Any]] = [[], []]
