@@ -75,6 +75,9 @@ class Camera:
         points = [mi.Vector3f(ray.o) if self.parallel else ray.d / dr.dot(ray.d, self.axis) for ray in corners]
         self._corner, self._across, self._down = points[0], points[1] - points[0], points[2] - points[0]
         self._inv_area = mi.Float(1.0 / float(dr.norm(dr.cross(self._across, self._down))[0]))
+        # Data, not code: else the first pass and the second one are different kernels.
+        plane = (self._corner, self._across, self._down, self._inv_area)
+        dr.make_opaque(self.axis, self._to_local, *plane, self._radius, self.near_clip, self._far_clip)
 
     def sample_ray(self, position: mi.Point2f, u_wavelength: mi.Float, u_aperture: mi.Point2f) -> PrimaryRay:
         """Primary ray through a film position in pixels, relative to the crop window."""

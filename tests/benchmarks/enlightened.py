@@ -34,6 +34,7 @@ WAYS: dict[str, list[str]] = {
     "enlightened bdpt, 4 eye paths": ["--integrator", "bdpt", *FORCED, "--set", "bdpt.eye_paths=4"],
     "enlightened bdpt, 16 eye paths": ["--integrator", "bdpt", *FORCED, "--set", "bdpt.eye_paths=16"],
     "enlightened pssmlt": ["--integrator", "pssmlt", *FORCED],
+    "enlightened pssmlt over path": ["--integrator", "pssmlt", *FORCED, "--set", "pssmlt.over=path"],
     "thesis bdpt": ["--integrator", "bdpt", "--preset", "thesis"],
     "auto": ["--integrator", "auto"],
 }
@@ -85,19 +86,28 @@ class Case:
 
 
 PEERS = tuple(PLAIN)
-EASY = (*PEERS, "path", "enlightened path", "bdpt", "enlightened bdpt, 16 eye paths", "auto")
+EASY = (*PEERS, "path", "enlightened path", "bdpt", "auto")
 FOUR = ("bdpt, exitance", "bdpt", "pssmlt, exitance", "pssmlt")
 """Of figure 5.11 of the thesis."""
 CASES = {
     "door 9": Case(
         lambda path: write(door(angle=9.0), path),
-        (*EASY, "pssmlt", "enlightened pssmlt", "thesis bdpt", CACHED),
+        (
+            *EASY,
+            "enlightened bdpt, 4 eye paths",
+            "enlightened bdpt, 16 eye paths",
+            "pssmlt",
+            "enlightened pssmlt",
+            "enlightened pssmlt over path",
+            "thesis bdpt",
+            CACHED,
+        ),
         pictures=("mi_path", "enlightened path", "auto"),
     ),
     "door 3": Case(lambda path: write(door(angle=3.0), path), (*PEERS, "enlightened path", "auto"), factor=2.0),
     "maze": Case(
         lambda path: write(maze(), path),
-        tuple(dict.fromkeys((*EASY, *FOUR))),
+        tuple(dict.fromkeys((*EASY, "enlightened bdpt, 16 eye paths", *FOUR))),
         pictures=FOUR,
     ),
     "bulb in glass": Case(

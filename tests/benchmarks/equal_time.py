@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from elps_core.estimate.stats import rel_mse, relative_squares
 from elps_core.io.exr import read_exr
@@ -65,19 +66,22 @@ def equal_time(duel: Duel, seconds: float, reference_seconds: float, runs: int) 
         f"{runs} run{'s' * (runs > 1)} each, in turns. relMSE against {made['spp']} samples per pixel of another seed",
         f"(`{' '.join(duel.reference)}`), whose own relative variance, {own:.5f}, is taken off; *trimmed*",
         f"leaves out {TRIM:.0%} of the pixels, the worst.",
-        "Efficiency is 1 / (relMSE seconds), as a ratio to `mi_path` with and without roulette: mean (range over runs;",
-        "trimmed).",
+        "Efficiency is 1 / (relMSE seconds), as a ratio to `mi_path`, and to `mi_path` without roulette"
+        + (": mean and range of the runs." if runs > 1 else "."),
         "",
-        "| | samples per pixel | relMSE | trimmed | to `mi_path` | to `mi_path` without roulette |",
-        "|---|---|---|---|---|---|",
+        "| | samples per pixel | relMSE | trimmed | to `mi_path` | trimmed | to it without roulette | trimmed |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     to, plain = (np.array(results[way]).mean(axis=0) for way in PLAIN)
     for way, rows in results.items():
         table = np.array(rows)
         mean = table.mean(axis=0)
-        spread = table[:, 0] / to[0]
-        lines.append(
-            f"| {way} | {mean[4]:.0f} | {mean[2]:.5f} | {mean[3]:.5f} | {mean[0] / to[0]:.2f} ({spread.min():.2f} to "
-            f"{spread.max():.2f}; {mean[1] / to[1]:.2f}) | {mean[0] / plain[0]:.2f} ({mean[1] / plain[1]:.2f}) |"
-        )
+        ratios = [_range(table[:, kind] / peer[kind]) for peer in (to, plain) for kind in (0, 1)]
+        lines.append(f"| {way} | {mean[4]:.0f} | {mean[2]:.5f} | {mean[3]:.5f} | {' | '.join(ratios)} |")
     return [*lines, ""]
+
+
+def _range(ratios: NDArray[np.float64]) -> str:
+    """Mean, and where there are several the least and the greatest."""
+    spread = f" ({ratios.min():.2f} to {ratios.max():.2f})" if len(ratios) > 1 else ""
+    return f"{ratios.mean():.2f}{spread}"
