@@ -1,5 +1,5 @@
 # Every target calls setup first; it ends at once where there is nothing to do.
-.PHONY: setup demo test lint ci bench validate clean
+.PHONY: setup demo test test-core test-service lint ci bench validate clean
 
 setup:
 	@deploy/bootstrap.sh
@@ -7,8 +7,15 @@ setup:
 demo: setup
 	@.venv/bin/elps demo --out demo-out
 
-test: setup
-	@.venv/bin/python -m pytest
+# Kernels are compiled by one thread, so that two files of tests at a time take the renderer two thirds of the time; what
+# waits for leases and processes to end is left alone with its clocks.
+test: test-core test-service
+
+test-core: setup
+	@.venv/bin/python -m pytest -n 2 --dist loadfile tests/core
+
+test-service: setup
+	@.venv/bin/python -m pytest --ignore tests/core
 
 lint: setup
 	@.venv/bin/ruff check

@@ -154,7 +154,8 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
     """What renders ``settings``, by the statistics of the context.
 
     ``auto`` takes the candidate of the greatest efficiency. An integrator that is named takes its plain form where
-    that was more efficient in pilots than its enlightened one.
+    that was more efficient in pilots than its enlightened one; and chains, if nothing is said, walk over samples of
+    path where these were more efficient than those of bdpt.
 
     Raises:
         ContextMismatch: there is something to choose and there are no pilots.
@@ -166,20 +167,27 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
         best = max(pilots, key=lambda pilot: pilot.efficiency)
         return Choice(candidate(settings, best.name), best.name, pilots)
     efficiency = {pilot.name: pilot.efficiency for pilot in pilots}
-    plain, enlightened = _forms(settings)
+    title = settings.integrator
+    if title == "pssmlt" and not settings.pssmlt.multiplexed:
+        both = ("bdpt", "path") if settings.pssmlt.over is None else (settings.pssmlt.over,)
+        over = max(both, key=lambda name: max(efficiency.get(form, 0.0) for form in _forms(name, 1)))
+        settings, title = with_overrides(settings, {"pssmlt.over": over}), f"{title} over {over}"
+        plain, enlightened = _forms(over, 1)
+    else:
+        plain, enlightened = _forms(settings.integrator, settings.bdpt.eye_paths)
     if efficiency.get(enlightened, 0.0) >= efficiency.get(plain, 0.0):
-        return Choice(settings, f"{settings.integrator}, enlightened", pilots)
+        return Choice(settings, f"{title}, enlightened", pilots)
     changes: dict[str, Any] = {**PLAIN, "context.adaptive": False}
     if settings.roulette != "context":
         del changes["roulette"]
-    return Choice(with_overrides(settings, changes), f"{settings.integrator}, plain", pilots)
+    return Choice(with_overrides(settings, changes), f"{title}, plain", pilots)
 
 
-def _forms(settings: RenderSettings) -> tuple[str, str]:
-    """The candidates, plain and enlightened, that speak for a named integrator: chains walk over samples of either."""
-    if settings.integrator == "path" or (settings.integrator == "pssmlt" and settings.pssmlt.over == "path"):
+def _forms(integrator: str, eye_paths: int) -> tuple[str, str]:
+    """The candidates, plain and enlightened, that speak for an integrator."""
+    if integrator == "path":
         return "path, plain", "path, enlightened"
-    return "bdpt, plain", BY_EYE_PATHS[settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1]
+    return "bdpt, plain", BY_EYE_PATHS[eye_paths if integrator == "bdpt" else 1]
 
 
 def _pilots(statistics: Mapping[str, Any]) -> tuple[Pilot, ...]:

@@ -146,7 +146,7 @@ def main(
             context = Path(name) / "context.elps"
             every = {**WAYS, CACHED: [*WAYS["auto"], "--context", str(context)]}
             if CACHED in case.ways:
-                render(path, Path(name) / "first.exr", SIZE, 1.0, 0, *every[CACHED])
+                render(path, Path(name) / "first.exr", SIZE, case.factor * seconds, 0, *every[CACHED])
             stem = title.replace(" ", "-")
             pictures = {way: REPORT.parent / f"{stem}-{PICTURES[way]}.png" for way in case.pictures}
             ways = {way: every[way] for way in case.ways}

@@ -67,8 +67,7 @@ def test_auto_takes_over_what_every_candidate_has() -> None:
         ("bdpt", {"bdpt.eye_paths": 4}, "bp", "be4ep"),
         ("bdpt", {"bdpt.eye_paths": 16}, "bp", "be1ep"),
         ("light", {}, "bp", "be"),
-        ("pssmlt", {}, "bp", "be"),
-        ("pssmlt", {"pssmlt.over": "path"}, "pp", "pe"),
+        ("pssmlt", {"pssmlt.multiplexed": True}, "bp", "be"),
     ],
 )
 def test_a_named_integrator_keeps_its_name(
@@ -84,6 +83,23 @@ def test_a_named_integrator_keeps_its_name(
     assert lost.settings == with_overrides(
         asked, {"direction_sampling": "scattering", "roulette": "albedo", "context.adaptive": False}
     )
+
+
+@pytest.mark.parametrize(("best", "over"), [("pp", "path"), ("pe", "path"), ("bp", "bdpt"), ("be", "bdpt")])
+@pytest.mark.parametrize("asked", [None, "path", "bdpt"])
+def test_chains_walk_over_the_better_samples_if_nothing_is_said(best: str, over: str, asked: str | None) -> None:
+    settings = with_overrides(RenderSettings(integrator="pssmlt", **CONTEXT), {"pssmlt.over": asked})
+    choice = choose(settings, statistics(**{best: 2.0}))
+    assert choice.settings.pssmlt.over == (asked or over)
+    enlightened = best.endswith("e") or choice.settings.pssmlt.over != over  # What is alike is enlightened
+    assert choice.name == f"pssmlt over {asked or over}, {'enlightened' if enlightened else 'plain'}"
+    assert (choice.settings.direction_sampling == "context") is enlightened
+
+
+def test_chains_walk_over_samples_of_bdpt_without_pilots() -> None:
+    from elps_core.paths.strategies import chosen
+
+    assert chosen(RenderSettings(integrator="pssmlt"), aperture=False).light_paths
 
 
 def test_a_plain_form_keeps_a_roulette_of_its_own() -> None:
