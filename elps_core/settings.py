@@ -155,8 +155,8 @@ class BdptSettings(_Model):
     eye_paths: Literal[1, 4, 16] = 1
     """Eye paths for each light path. Where light paths help little they should cost little."""
     guided_light: bool = False
-    """Whether context also guides light paths, where it guides eye paths. On the door and the maze, with 16 eye paths
-    for one, it cost more time than it saved noise."""
+    """Whether context also guides light paths, here and in pssmlt, where it guides eye paths. On the door and the maze,
+    with 16 eye paths for one, it cost more time than it saved noise."""
 
     def pairs(self) -> frozenset[tuple[int, int]] | None:
         """The chosen (s, t); None for all."""

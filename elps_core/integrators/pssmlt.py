@@ -57,7 +57,7 @@ class Samples:
 class MetropolisFrames:
     """Renders frames of one film by Metropolis light transport."""
 
-    def __init__(self, bdpt: Bdpt, film: mi.Film, settings: PssmltSettings, worth: PixelWeight = alike) -> None:
+    def __init__(self, bdpt: Bdpt, film: mi.Film, settings: PssmltSettings, weight: PixelWeight = alike) -> None:
         emission = bdpt.lights.emission
         self.statistics: dict[str, float] = {}
         """What the last render says of its chains: see :meth:`Metropolis.run`."""
@@ -66,7 +66,7 @@ class MetropolisFrames:
         self._chains: Metropolis | None = None
         if bdpt.max_depth >= SHORTEST:
             target: Target = Multiplexed(bdpt) if settings.multiplexed else Samples(bdpt)
-            self._chains = Metropolis(target, settings, worth)
+            self._chains = Metropolis(target, settings, weight)
 
     def render(self, spp: int, key: tuple[int, ...]) -> Frame:
         """``spp`` mutations per pixel by a set of chains of its own, named by ``key``."""

@@ -86,6 +86,8 @@ def _read_by_integrator(settings: RenderSettings) -> dict[str, Any]:
     elif "direction_sampling" in fields and settings.direction_sampling == "context":
         fields.add("table_share")
     values = settings.model_dump(mode="json", include=fields)
+    if settings.integrator == "pssmlt" and settings.direction_sampling == "context":
+        values["bdpt"] = {"guided_light": settings.bdpt.guided_light}
     if settings.needs_context:
         values["context"] = settings.measured.model_dump(mode="json")
     if settings.is_baseline and "rr_depth" in fields:

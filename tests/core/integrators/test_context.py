@@ -60,6 +60,7 @@ def test_no_tables_move_what_chains_find(mi: Any) -> None:
     scene = sphere(mi, "area")
     parts = adversaries.parts(scene, "random")
     options: dict[str, Any] = {"parts": parts, "roulette": "albedo", "pssmlt__bootstrap": 4096}
+    options |= EVERYWHERE
     images = render(scene, "pssmlt", images=IMAGES, spp=128, max_depth=3, **options)
     check(images, up_to("area", 3), bound=BOUND)
 

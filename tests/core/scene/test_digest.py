@@ -147,6 +147,7 @@ OURS = {*ALWAYS, "direction_sampling", "roulette", "rr_depth", "max_depth", "lig
         ({"integrator": "bdpt", "light_sampling": "uniform"}, {*OURS, "bdpt"} - {"context"}),
         ({"integrator": "bdpt", "roulette": "none"}, {*OURS, "bdpt"} - {"rr_depth"}),
         ({"integrator": "pssmlt"}, {*OURS, "pssmlt"}),
+        ({"integrator": "pssmlt", "direction_sampling": "context"}, {*OURS, "pssmlt", "table_share"}),
         # Mitsuba knows one roulette, which the default asks for as well.
         ({"integrator": "mi_path"}, {*ALWAYS, "rr_depth", "max_depth"}),
         ({"integrator": "mi_path", "roulette": "none"}, {*ALWAYS, "roulette", "max_depth"}),
@@ -162,6 +163,13 @@ def test_what_an_integrator_does_not_read_does_not_enter(base: dict[str, Any], e
         digests[name] = render_digest(SCENE, RenderSettings(**{**base, name: value}), (4, 3))
     plain = render_digest(SCENE, RenderSettings(**base), (4, 3))
     assert {name for name, digest in digests.items() if digest != plain} == entering
+
+
+def test_chains_over_guided_light_paths_are_other_chains() -> None:
+    guided = {"bdpt": {"guided_light": True}}
+    for base, enters in (({"direction_sampling": "context"}, True), ({}, False)):
+        both = [RenderSettings(**{"integrator": "pssmlt", **base, **more}) for more in ({}, guided)]
+        assert (len({render_digest(SCENE, settings, (4, 3)) for settings in both}) == 2) is enters
 
 
 def test_context_settings_enter_only_where_a_context_is_used() -> None:
