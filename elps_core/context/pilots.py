@@ -12,14 +12,17 @@ from elps_core.choice import CANDIDATES, Pilot, candidate
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.make import paths_of
-from elps_core.paths.stream import Stream
+from elps_core.paths.nets import Nets
+from elps_core.paths.stream import Stream, opaque_key
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
 from elps_core.settings import ContextSettings, RenderSettings
 
 BLOCK = 1 << 15
-"""Samples of a block; each film position has two, whose difference tells of noise alone."""
+"""Samples of a block."""
+POINTS = 16
+"""Samples of a set, spread evenly as in renders; each pixel has two sets, whose difference tells of noise alone."""
 LEAST, MOST, SECONDS = 3, 16, 0.25
 """Blocks of a candidate; no more are begun after this time, if nothing else is said."""
 TURNS = 4
@@ -85,7 +88,7 @@ class PilotRunner:
     def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> tuple[float, float]:
         """Variance and mean of a block's samples, see :class:`Pilot`.
 
-        Eye paths come in pairs of one film position: half the square of their difference. Of light paths
+        Eye paths come in two sets for a pixel: half the square of their difference. Of light paths
         the sum of squares: what all that meet a pixel bring together is far more than one brings.
         """
         thinning = bdpt.thinning
@@ -105,17 +108,21 @@ class PilotRunner:
         for number, (count, scale) in enumerate(((lit, float(thinning)), (BLOCK - lit, None))):
             if not count:
                 continue
-            half = count // 2
-            place = Stream.of(half, *key, number, 0).next_2d() * mi.Point2f(self._camera.size)
-            position = dr.concat([place.x, place.x]), dr.concat([place.y, place.y])
-            lanes = -(-count // TURNS)
-            streams = (Stream.of(lanes, *key, number, 1), Stream.of(lanes, *key, number, 2))
-            radiance, wavelengths = bdpt.trace(mi.Point2f(position), streams, splat, light_scale=scale, turns=TURNS)
-            found = luminance(mi.UnpolarizedSpectrum(radiance), wavelengths)
-            relative = np.array(found, np.float64).reshape(2, half) * np.array(self._worth(place), np.float64)
-            relative = np.where(np.isfinite(relative), relative, 0.0)
-            variance += 0.5 * float(np.square(relative[0] - relative[1]).mean()) * (count / BLOCK)
-            mean += float(relative.mean()) * (count / BLOCK)
+            sets = count // POINTS
+            pixels = dr.floor(Stream.of(sets // 2, *key, number, 0).next_2d() * mi.Point2f(self._camera.size))
+            sample = dr.arange(mi.UInt32, count)
+            group = sample % sets
+            nets = Nets(group, sample // sets, opaque_key(*key, number, 1))
+            position = dr.gather(mi.Point2f, pixels, group % (sets // 2)) + nets.positions()
+            lane = dr.arange(mi.UInt32, -(-count // TURNS))
+            at_large = Nets(dr.zeros(mi.UInt32, count), sample, opaque_key(*key, number, 2))
+            streams = nets.stream(lane), at_large.stream(lane)
+            radiance, wavelengths = bdpt.trace(position, streams, splat, light_scale=scale, turns=TURNS)
+            found = luminance(mi.UnpolarizedSpectrum(radiance), wavelengths) * self._worth(position)
+            relative = np.array(found, np.float64).reshape(POINTS, 2, sets // 2)
+            means = np.where(np.isfinite(relative), relative, 0.0).mean(axis=0)
+            variance += 0.5 * POINTS * float(np.square(means[0] - means[1]).mean()) * (count / BLOCK)
+            mean += float(means.mean()) * (count / BLOCK)
         of_light, by_light = (float(dr.sum(total)[0]) / lit for total in (squares, sums))
         return variance + thinning * of_light, mean + by_light
 

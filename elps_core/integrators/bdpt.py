@@ -85,13 +85,7 @@ class _Samples:
     def of(position: mi.Point2f, turns: int, stream: Stream) -> _Samples:
         count = dr.width(position)
         lanes = -(-count // turns)
-        u_wavelength = mi.Float(0.5)
-        if mi.is_spectral:
-            drawn = [stream.next_1d() for _ in range(turns)]
-            # Of the last turn some lanes have no sample.
-            u_wavelength = (
-                drawn[0] if turns == 1 else dr.gather(mi.Float, dr.concat(drawn), dr.arange(mi.UInt32, count))
-            )
+        u_wavelength = stream.wavelengths(count, turns) if mi.is_spectral else mi.Float(0.5)
         if turns > 1:
             dr.eval(position, u_wavelength, stream)
         return _Samples(position, u_wavelength, count, lanes, Turns(count, lanes))
@@ -237,6 +231,7 @@ class Bdpt:
 
         def begin(sample: mi.UInt32, stream: Stream, active: mi.Bool) -> Walk:
             position, u_wavelength = samples.at(sample, active)
+            stream = stream.at(sample, active)
             return self.eye_start(self.primary(position, stream, u_wavelength), stream)
 
         def renew(walk: Walk, eye: _Eye) -> tuple[Walk, _Eye]:
@@ -326,11 +321,12 @@ class Bdpt:
 
         def begin(sample: mi.UInt32, stream: Stream, active: mi.Bool) -> tuple[Walk, _Light]:
             # Both paths of a sample have its wavelengths.
+            stream = stream.at(sample, active)
             position, u_wavelength = samples.at(sample, active)
             seen = self.primary(position, None, u_wavelength)
             wavelengths = seen.ray.wavelengths
             start = self.lights.sample(
-                stream.next_2d(), stream.next_2d(), wavelengths, active & dr.full(mi.Bool, True, lanes)
+                stream.next_2d(), stream.next_2d(even=False), wavelengths, active & dr.full(mi.Bool, True, lanes)
             )
             return self.light_start(start, stream), _Light(
                 dr.zeros(mi.UInt32, lanes), mi.UInt32(start.cell), seen.weight, sample

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from elps_core.integrators.bdpt import Splat
 from elps_core.integrators.frame import to_rgb
 from elps_core.paths.primary import PrimaryStream, commit, stream
-from elps_core.paths.stream import Key, Stream, generator
+from elps_core.paths.stream import ChanceStream, Key, Stream, generator
 from elps_core.scene.spectrum import luminance
 
 GENERATORS = 3
@@ -221,7 +221,7 @@ def propose(target: Target, state: Chains, step: Step, weight: PixelWeight = ali
 def streams(state: Chains, step: Step) -> tuple[Stream, PrimaryStream, PrimaryStream]:
     """The numbers that decide about each chain's step, and the two streams of its proposal."""
     name = step.source * GENERATORS
-    decide = Stream(generator(name, step.key))
+    decide = ChanceStream(generator(name, step.key))
     large = decide.next_1d() < step.large
     first, second = (stream(state.vectors[k], generator(name + (k + 1), step.key), large) for k in range(2))
     return decide, first, second

@@ -8,7 +8,8 @@ import drjit as dr
 import mitsuba as mi
 
 from elps_core.integrators.bdpt import Bdpt
-from elps_core.paths.stream import Stream
+from elps_core.paths.nets import BLOCK, Nets
+from elps_core.paths.stream import opaque_key
 
 MAX_SAMPLES = 1 << 20
 """Samples of one pass; more brings no speed and costs memory."""
@@ -60,15 +61,15 @@ class FrameRenderer:
         lit_spp = -(-spp // self.bdpt.thinning)
         most = min(MAX_SAMPLES, max(1, MAX_STORE_BYTES // (max(1, self.bdpt.slots) * VERTEX_BYTES)))
         eye, light = self._block(4), self._block(4)
-        number = 0
+        before = 0
         for count, scale in ((lit_spp, spp / lit_spp), (spp - lit_spp, None)):
             total = self.pixels * count
             passes = -(-total // most)
             samples = -(-total // max(1, passes))
             for first in range(0, total, max(1, samples)):
-                self._render_pass(min(samples, total - first), first, (*key, number), scale, eye, light)
+                self._render_pass(min(samples, total - first), before + first, key, scale, eye, light)
                 dr.eval(eye.tensor(), light.tensor())
-                number += 1
+            before += total
         channels, splats = eye.tensor().array, light.tensor().array
         pixel = dr.arange(mi.UInt32, self.pixels * 3) // 3
         channel = dr.arange(mi.UInt32, self.pixels * 3) % 3
@@ -89,12 +90,16 @@ class FrameRenderer:
         light: mi.ImageBlock,
     ) -> None:
         turns = -(-samples // LANES[dr.backend_v(mi.Float)]) if self.bdpt.max_depth > 1 else 1
-        lanes = -(-samples // turns)
-        streams = (Stream.of(lanes, *key, 0), Stream.of(lanes, *key, 1))
-        pixel = (dr.arange(mi.UInt32, samples) + dr.opaque(mi.UInt32, first)) % self.pixels
+        number = dr.arange(mi.UInt32, samples) + dr.opaque(mi.UInt32, first)
+        turn = number // self.pixels
+        pixel = number - turn * self.pixels
+        by_pixel = Nets(pixel, turn, opaque_key(*key, 0))
+        at_large = Nets(number // BLOCK, number % BLOCK, opaque_key(*key, 1))
+        lane = dr.arange(mi.UInt32, -(-samples // turns))
+        streams = by_pixel.stream(lane), at_large.stream(lane)
         row = pixel // int(self.size.x)
         corner = mi.Point2f(mi.Float(pixel - row * int(self.size.x)), mi.Float(row))
-        position = corner + Stream.of(samples, *key, 2).next_2d()
+        position = corner + by_pixel.positions()
 
         def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
             # Four channels travel as one packet, three would not; most splats are shadowed and stay away.

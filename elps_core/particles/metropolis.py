@@ -32,7 +32,7 @@ from elps_core.particles.joining import HEAD_NUMBERS, START_NUMBERS, STEP_NUMBER
 from elps_core.particles.records import ParticleBuffer, Particles, Worth, everywhere
 from elps_core.particles.subpaths import STEP_BYTES, StepStore
 from elps_core.paths.primary import PrimaryStream, commit, stream
-from elps_core.paths.stream import Key, Stream, generator, key_seed, opaque_key
+from elps_core.paths.stream import ChanceStream, Key, Stream, generator, key_seed, opaque_key
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 
@@ -209,7 +209,7 @@ class MetropolisSampler:
     ) -> tuple[Joined, Stream, tuple[PrimaryStream, PrimaryStream]]:
         """A path for every chain, its vertices in the half of the stores that holds no state."""
         opaque: Key = opaque_key(*key)
-        decide = Stream(generator(source * GENERATORS, opaque))
+        decide = ChanceStream(generator(source * GENERATORS, opaque))
         large = decide.next_1d() < dr.opaque(mi.Float, large_step)
         eye, light = (
             stream(vectors, generator(source * GENERATORS + (number + 1), opaque), large)

@@ -118,7 +118,7 @@ class Connector:
     ) -> tuple[mi.Spectrum, Start]:
         """s = 1: next event estimation, a fresh light vertex for an eye vertex, chosen by ``region``."""
         emission = self.lights.emission
-        u_cell, u_point, wavelengths = stream.next_2d(), stream.next_2d(), vertex.si.wavelengths
+        u_cell, u_point, wavelengths = stream.next_2d(), stream.next_2d(even=False), vertex.si.wavelengths
         if self.region_lights:
             start, pdf_start = self.region_lights.sample(region, u_cell, u_point, wavelengths, active)
         else:

@@ -45,6 +45,7 @@ def moved(coordinate: mi.UInt32, bits: mi.UInt32, large: mi.Bool) -> mi.UInt32:
 class PrimaryStream(Stream):
     """A stream of random numbers that are a chain's proposal."""
 
+    rng: mi.PCG32
     dimension: mi.UInt32
     """Coordinate that comes next."""
     large: mi.Bool
@@ -52,13 +53,13 @@ class PrimaryStream(Stream):
     read: Callable[[mi.UInt32], mi.UInt32]
     """Coordinates of the chains' vectors by dimension."""
 
-    def next_1d(self) -> mi.Float:
+    def next_1d(self, *, even: bool = True) -> mi.Float:  # noqa: ARG002
         """One number per chain."""
         value = moved(self.read(self.dimension), self.rng.next_uint32(), self.large)
         self.dimension = self.dimension + 1
         return to_unit(value)
 
-    def next_2d(self) -> mi.Point2f:
+    def next_2d(self, *, even: bool = True) -> mi.Point2f:  # noqa: ARG002
         """Two numbers per chain."""
         x = self.next_1d()
         return mi.Point2f(x, self.next_1d())

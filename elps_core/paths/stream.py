@@ -39,22 +39,48 @@ def generator(number: mi.UInt32, key: Key) -> mi.PCG32:
     )
 
 
-@dataclass
 class Stream:
+    """Uniform numbers in [0, 1), which walks ask for in a fixed order, a fixed count at each vertex."""
+
+    @staticmethod
+    def of(lanes: int, *key: int) -> ChanceStream:
+        """A stream of ``lanes`` lanes of independent numbers, named by ``key``, such as (seed, chunk, pass)."""
+        return ChanceStream(generator(dr.arange(mi.UInt32, lanes), opaque_key(*key)))
+
+    def next_1d(self, *, even: bool = True) -> mi.Float:
+        """One number per lane; where they need not be ``even``, a stream may spare the effort to spread them evenly."""
+        raise NotImplementedError
+
+    def next_2d(self, *, even: bool = True) -> mi.Point2f:
+        """Two numbers per lane, as :meth:`next_1d`."""
+        raise NotImplementedError
+
+    def wavelengths(self, samples: int, turns: int) -> mi.Float:
+        """One number for each of ``samples``, ``turns`` for a lane: sample s is of lane s modulo lanes."""
+        drawn = [self.next_1d() for _ in range(turns)]
+        # Of the last turn some lanes have no sample.
+        return drawn[0] if turns == 1 else dr.gather(mi.Float, dr.concat(drawn), dr.arange(mi.UInt32, samples))
+
+    def at(self, sample: mi.UInt32, active: mi.Bool) -> Stream:  # noqa: ARG002
+        """What a walk takes its numbers from that belongs to ``sample``."""
+        return self
+
+    def where(self, chosen: mi.Bool, other: Stream) -> Stream:  # noqa: ARG002
+        """``other``, which comes of :meth:`at`, in ``chosen`` lanes, and this stream elsewhere."""
+        return self
+
+
+@dataclass
+class ChanceStream(Stream):
     """Independent uniform numbers in [0, 1), one PCG32 sequence per lane."""
 
     rng: mi.PCG32
 
-    @staticmethod
-    def of(lanes: int, *key: int) -> Stream:
-        """A stream of ``lanes`` lanes named by ``key``, such as (seed, chunk, pass)."""
-        return Stream(generator(dr.arange(mi.UInt32, lanes), opaque_key(*key)))
-
-    def next_1d(self) -> mi.Float:
+    def next_1d(self, *, even: bool = True) -> mi.Float:  # noqa: ARG002
         """One number per lane."""
         return self.rng.next_float32()
 
-    def next_2d(self) -> mi.Point2f:
+    def next_2d(self, *, even: bool = True) -> mi.Point2f:  # noqa: ARG002
         """Two numbers per lane."""
         x = self.rng.next_float32()
         return mi.Point2f(x, self.rng.next_float32())

@@ -49,13 +49,13 @@ class Walk:
     active: mi.Bool
 
     def where(self, chosen: mi.Bool, other: Walk) -> Walk:
-        """``other``, which has the same stream, in ``chosen`` lanes, and this walk elsewhere."""
+        """``other``, whose stream belongs to another sample, in ``chosen`` lanes, and this walk elsewhere."""
         fields = {
             name: dr.select(chosen, getattr(other, name), value)
             for name, value in vars(self).items()
             if name != "stream"
         }
-        return Walk(**fields, stream=self.stream)
+        return Walk(**fields, stream=self.stream.where(chosen, other.stream))
 
 
 def random_walk(
@@ -115,7 +115,7 @@ def random_walk(
                 value * walk.worth, walk.raised * kept, known & (vertex.depth >= roulette.start), survival
             )
         if roulette.kind != "none":
-            active = active & (walk.stream.next_1d() < survival)
+            active = active & (walk.stream.next_1d(even=False) < survival)
         after = Walk(
             ray=si.spawn_ray(direction),
             beta=beta / survival,

@@ -109,9 +109,10 @@ class GuidedDirections(Directions):
         else:
             u_lobe, u = stream.next_1d(), stream.next_2d()
             share = dr.select(smooth, self._shares[side], 0.0)
-            by_table = active & (u_lobe < share)
-            # What is left of the number chooses the lobe.
-            u_lobe = dr.clip((u_lobe - share) / (1.0 - share), 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
+            by_table = active & (u.x < share)
+            # What is left of the number chooses the direction.
+            left = dr.select(by_table, u.x / share, (u.x - share) / (1.0 - share))
+            u.x = dr.clip(left, 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
             direction, _ = guide.field.sample(self.region(si, si.wi, by_table), u, by_table)
             event = sample_mixed(si, by_table, si.to_local(direction), u_lobe, u, side, active)
             pdf = self._mixed(event.pdf, si, si.wi, event.wo, side, smooth, active & ~event.delta)

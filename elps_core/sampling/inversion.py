@@ -40,3 +40,14 @@ def interval(edges: mi.Float, first: mi.UInt32, size: int, x: mi.Float, active: 
     What lies beyond the outer edges counts to the outer intervals.
     """
     return dr.binary_search(0, size - 1, lambda i: dr.gather(mi.Float, edges, first + i + 1, active) <= x)
+
+
+def drawn(
+    edges: mi.Float, first: mi.UInt32, size: int, x: mi.Float, fine: mi.Float, active: mi.Bool
+) -> tuple[mi.UInt32, mi.Float]:
+    """As :func:`interval`, and where ``x`` lies in it, in [0, 1): ``fine`` fills the step that ``x`` is rounded to."""
+    index = interval(edges, first, size, x, active)
+    low = dr.gather(mi.Float, edges, first + index, active)
+    high = dr.gather(mi.Float, edges, first + index + 1, active)
+    inside = (x - low + fine / RESOLUTION) / (high - low)
+    return index, dr.clip(inside, 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))

@@ -63,7 +63,7 @@ class RegionLights:
         here = active & by_region
         piece, inside = self._pieces.sample(region, u_cell.x / self._share, here)
         index = piece // self._per_emitter
-        u = mi.Point2f((mi.Float(piece - index * self._per_emitter) + inside) / self._per_emitter, u_point.y)
+        u = mi.Point2f((mi.Float(piece - index * self._per_emitter) + inside) / self._per_emitter, u_cell.y)
         rest = mi.Point2f((u_cell.x - share) / (1.0 - share), u_cell.y)
         start = lights.sample(rest, u_point, wavelengths, active, dr.select(by_region, index, lights.nowhere), u)
         pdf_start = start.pdf

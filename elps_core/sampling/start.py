@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.sampling.inversion import RESOLUTION, cumulative, interval, quantized
+from elps_core.sampling.inversion import RESOLUTION, cumulative, drawn, quantized
 from elps_core.scene.emission import Emission, LightPoint
 
 
@@ -71,14 +71,14 @@ class StartDensity:
         Where an emitter is ``given`` (less than the emitters there are), its point at ``u_given`` is taken
         instead, with the density that drawing it would have had.
         """
-        column = interval(self._column_cdf, mi.UInt32(0), self.columns, u_cell.x, active)
+        column, x = drawn(self._column_cdf, mi.UInt32(0), self.columns, u_cell.x, u_point.x, active)
         if self.flat and self.rows == 1:
-            row = mi.UInt32(0)
+            row, y = mi.UInt32(0), u_cell.y
         else:
-            row = interval(self._row_cdf, column * (self.rows + 1), self.rows, u_cell.y, active)
+            row, y = drawn(self._row_cdf, column * (self.rows + 1), self.rows, u_cell.y, u_point.y, active)
         index = column // self.per_emitter
         inside = mi.Float(column - index * self.per_emitter)
-        u = mi.Point2f((inside + u_point.x) / self.per_emitter, (mi.Float(row) + u_point.y) / self.rows)
+        u = mi.Point2f((inside + x) / self.per_emitter, (mi.Float(row) + y) / self.rows)
         cell = column * self.rows + row
         if given is not None and u_given is not None:
             chosen = given < self.emission.count

@@ -97,7 +97,7 @@ def test_a_chain_of_small_steps_keeps_its_distribution(mi: Any) -> None:
     import drjit as dr
 
     from elps_core.paths.primary import commit, stream, to_unit
-    from elps_core.paths.stream import Stream, generator, opaque_key
+    from elps_core.paths.stream import ChanceStream, generator, opaque_key
 
     rng = np.random.default_rng(7)
     start = np.sqrt(rng.random((2, LANES)))  # The density 2 x by inversion.
@@ -110,7 +110,7 @@ def test_a_chain_of_small_steps_keeps_its_distribution(mi: Any) -> None:
         proposal = stream(vectors, generator(chain * 2 + 1, key), small)
         new = proposal.next_1d() * proposal.next_1d()
         old = to_unit(dr.gather(mi.UInt32, vectors, chain)) * to_unit(dr.gather(mi.UInt32, vectors, chain + LANES))
-        accepted = Stream(generator(chain * 2, key)).next_1d() * old < new
+        accepted = ChanceStream(generator(chain * 2, key)).next_1d() * old < new
         dr.eval(accepted)
         commit(vectors, generator(chain * 2 + 1, key), small, accepted, dr.full(mi.UInt32, 2, LANES))
         dr.eval(vectors)
