@@ -27,22 +27,20 @@ CANDIDATES: dict[str, dict[str, Any]] = {
     "bdpt, plain": {"integrator": "bdpt", **PLAIN},
     "bdpt, enlightened": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.guided_light": True},
     "bdpt, enlightened, 4 eye paths": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.eye_paths": 4},
-    "bdpt, enlightened, 16 eye paths": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.eye_paths": 16},
+    "bdpt, enlightened, unjoined": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.eye_paths": 4, "bdpt.joins": False},
 }
 """What pilots compare, and ``auto`` chooses from."""
-BY_EYE_PATHS = {
-    1: "bdpt, enlightened",
-    4: "bdpt, enlightened, 4 eye paths",
-    16: "bdpt, enlightened, 16 eye paths",
-}
-SCOUTS = ("path, plain", "path, enlightened", "bdpt, plain", "bdpt, enlightened, 4 eye paths")
+JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
+"""Those that may win where joining subpaths pays, and cost the more where it does not."""
+SCOUTS = ("path, plain", "path, enlightened", "bdpt, plain", "bdpt, enlightened, unjoined")
 """Those that are compared early in training already, so that it can stop where tables will not pay."""
 AHEAD = 1.25
 """How many times as efficient as the best enlightened one a plain one must be then: tables are still to improve.
 With a tenth of the usual paths it was 1.3 to 1.7 where a plain one won in the end (Veach's scene, a staircase), 1.1 or
 less where it lost (a Cornell box, the maze, the door), and 0.8 to 1.4 where both came out alike (a bulb in glass)."""
-HOPELESS = 4.0
-"""Times as efficient as a candidate the best scout is, where that candidate is not measured again."""
+HOPELESS = 3.0
+"""Times as efficient as a candidate the best scout is, where neither that candidate nor what is like it is measured
+again. On the door joined subpaths were 3 times as efficient with tables as without."""
 SIGMAS = 3.0
 """Standard errors by which a mean may be off."""
 LEAST = 1e-12
@@ -115,11 +113,19 @@ def plain_wins(scouts: Iterable[Pilot]) -> bool:
     return max(plain, default=0.0) > AHEAD * max(enlightened, default=float("inf"))
 
 
-def worth_measuring(scouts: Iterable[Pilot]) -> list[str]:
-    """The plain candidates among which the best is, where training has stopped."""
-    known = _known(scouts)
-    best = max(pilot.efficiency for pilot in known)
-    return [pilot.name for pilot in known if _is_plain(pilot.name) and HOPELESS * pilot.efficiency >= best]
+def worth_measuring(candidates: list[str], scouts: Iterable[Pilot]) -> list[str]:
+    """The candidates among which the best is, as far as the scouts tell; all without any.
+
+    Where training has stopped, plain ones; else those that join subpaths with tables only where it pays without.
+    """
+    said = tuple(scouts)
+    known = _known(said)
+    best = max((pilot.efficiency for pilot in known), default=0.0)
+    near = {pilot.name for pilot in known if HOPELESS * pilot.efficiency >= best}
+    if plain_wins(said):
+        return [name for name in candidates if name in near and _is_plain(name)]
+    without = JOINED if known and "bdpt, plain" not in near else ()
+    return [name for name in candidates if name not in without]
 
 
 def _known(pilots: Iterable[Pilot]) -> tuple[Pilot, ...]:
@@ -170,12 +176,12 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
     title = settings.integrator
     if title == "pssmlt" and not settings.pssmlt.multiplexed:
         both = ("bdpt", "path") if settings.pssmlt.over is None else (settings.pssmlt.over,)
-        over = max(both, key=lambda name: max(efficiency.get(form, 0.0) for form in _forms(name, 1)))
+        over = max(both, key=lambda name: max(_of(form, efficiency) for form in _forms(name, BdptSettings())))
         settings, title = with_overrides(settings, {"pssmlt.over": over}), f"{title} over {over}"
-        plain, enlightened = _forms(over, 1)
+        plain, enlightened = _forms(over, BdptSettings())
     else:
-        plain, enlightened = _forms(settings.integrator, settings.bdpt.eye_paths)
-    if efficiency.get(enlightened, 0.0) >= efficiency.get(plain, 0.0):
+        plain, enlightened = _forms(settings.integrator, settings.bdpt)
+    if _of(enlightened, efficiency) >= efficiency.get(plain, 0.0):
         return Choice(settings, f"{title}, enlightened", pilots)
     changes: dict[str, Any] = {**PLAIN, "context.adaptive": False}
     if settings.roulette != "context":
@@ -183,11 +189,19 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
     return Choice(with_overrides(settings, changes), f"{title}, plain", pilots)
 
 
-def _forms(integrator: str, eye_paths: int) -> tuple[str, str]:
+def _forms(integrator: str, bdpt: BdptSettings) -> tuple[str, str]:
     """The candidates, plain and enlightened, that speak for an integrator."""
     if integrator == "path":
         return "path, plain", "path, enlightened"
-    return "bdpt, plain", BY_EYE_PATHS[eye_paths if integrator == "bdpt" else 1]
+    if integrator != "bdpt" or (bdpt.joins and bdpt.eye_paths == 1):
+        return "bdpt, plain", "bdpt, enlightened"
+    return "bdpt, plain", "bdpt, enlightened, 4 eye paths" if bdpt.joins else "bdpt, enlightened, unjoined"
+
+
+def _of(name: str, efficiency: Mapping[str, float]) -> float:
+    """Efficiency of a candidate; of what is nearest to it where it was left out, 0 if nothing is."""
+    near = (name, *JOINED, "bdpt, enlightened, unjoined") if name in JOINED else (name,)
+    return next((efficiency[other] for other in near if other in efficiency), 0.0)
 
 
 def _pilots(statistics: Mapping[str, Any]) -> tuple[Pilot, ...]:

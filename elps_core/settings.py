@@ -154,6 +154,9 @@ class BdptSettings(_Model):
 
     eye_paths: Literal[1, 4, 16] = 1
     """Eye paths for each light path. Where light paths help little they should cost little."""
+    joins: bool = True
+    """Whether eye and light paths are joined in the middle. Without, light paths bring to the sensor what they meet,
+    caustics above all, and cost a fraction."""
     guided_light: bool = False
     """Whether context also guides light paths, here and in pssmlt, where it guides eye paths. On the door and the maze,
     with 16 eye paths for one, it cost more time than it saved noise."""

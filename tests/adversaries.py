@@ -33,7 +33,7 @@ def parts(scene: Any, kind: Kind) -> DirectionalParts:
     regions = build_regions(position, normal, REGIONS, seed=1)
     count = regions.count
 
-    def tables() -> DirectionalTables:
+    def tables(count: int = count) -> DirectionalTables:
         values = rng.random((count, *GRID)) ** 4
         if kind == "spiked":
             values = np.zeros((count, *GRID))
@@ -55,4 +55,5 @@ def parts(scene: Any, kind: Kind) -> DirectionalParts:
         lights.astype(np.float32),
         np.zeros(PIXELS, np.uint16),
         np.zeros((2, 4, 4), np.float32),
+        tables(lights.shape[1]) if lights.shape[1] else None,
     )

@@ -69,7 +69,7 @@ class ContextBuilder:
     @property
     def _measured(self) -> list[str]:
         """Candidates of which there are pilots in the end, or will be."""
-        return worth_measuring(self._scouts) if plain_wins(self._scouts) else self._candidates
+        return worth_measuring(self._candidates, self._scouts)
 
     def begin_from(self, other: GlobalContext) -> bool:
         """Take over what a context of the same surroundings and settings knows of light; whether it was of use.
@@ -154,7 +154,7 @@ class ContextBuilder:
         if self._candidates:
             # Of candidates that were not measured again all is known that scouts have said.
             again = {pilot.name for pilot in self._pilots}
-            kept = [pilot for pilot in self._scouts if plain_wins(self._scouts) and pilot.name not in again]
+            kept = [pilot for pilot in self._scouts if pilot.name not in again]
             statistics[PILOTS] = [asdict(pilot) for pilot in (*self._pilots, *kept)]
         self._seconds += time.perf_counter() - begin
         statistics = {"seconds": round(self._seconds, 3), **statistics}
@@ -193,7 +193,7 @@ class ContextBuilder:
             none = np.zeros((0, 6))
             early = [name for name in SCOUTS if name in self._candidates]
             scouts = [_pilot(*entry) for entry in zip(early, record.get("scouts", none), strict=False)]
-            names = worth_measuring(scouts) if plain_wins(scouts) else self._candidates
+            names = worth_measuring(self._candidates, scouts)
             pilots = [_pilot(*entry) for entry in zip(names, record.get("pilots", none), strict=False)]
         except (SafetensorError, KeyError, IndexError, TypeError, ValueError):
             raise ContextMismatch(UNFIT) from None

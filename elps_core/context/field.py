@@ -99,12 +99,12 @@ class DirectionalField:
     below the surface are the caller's to drop. Every direction of every region has a positive one.
     """
 
-    def __init__(self, region: RegionLookup, tables: DirectionalTables) -> None:
+    def __init__(self, region: RegionLookup | None, tables: DirectionalTables) -> None:
         count, rows, columns = tables.shape
-        if count != region.count:
+        if region and count != region.count:
             raise ContextMismatch("the context's tables belong to other regions: build it again")
         self.region = region
-        """Region of a point with a normal, in kernels."""
+        """Region of a point with a normal, in kernels; None where a region is something else."""
         self.map = EqualAreaMap(rows, columns)
         self._columns = PackedInversion(_decoder(tables), count * rows, columns)
         self._rows = PackedInversion(lambda index: dr.gather(mi.Float, self._columns.total, index), count, rows)

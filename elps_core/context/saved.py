@@ -22,6 +22,8 @@ DENSITY_SIDE = 128
 """Side of the pictures of particles from above, in cells."""
 SOURCES = ("radiance", "photons", "importance")
 """Sums of what eye paths find, of what light paths bring, and of what eye paths bring."""
+DEPARTURES = "departures"
+"""Sums of the light that reaches the image, by how it leaves the pieces of the emitters."""
 UNFIT = "the saved state of the context does not fit: measure it again"
 
 
@@ -43,7 +45,7 @@ class TableState:
     areas: Doubles | None = None
     """Of the regions, once tables are filled."""
     sources: dict[str, DirectionalAccumulator] = field(default_factory=dict)
-    """By names of :data:`SOURCES`, once tables are filled."""
+    """By names of :data:`SOURCES`, and :data:`DEPARTURES`, once tables are filled."""
     lights: Doubles = field(default_factory=lambda: np.zeros((0, 0)))
     """What light sampling found, by region and piece of the lights."""
     known: DirectionalParts | None = None
@@ -84,13 +86,14 @@ class TableState:
         saved = _part(arrays, "clustering")
         clustering = Clustering.from_arrays(saved) if saved else None
         areas = arrays.get("areas")
-        names = {name.partition(".")[0] for name in arrays} & set(SOURCES)
+        names = {name.partition(".")[0] for name in arrays} & {*SOURCES, DEPARTURES}
         sources = {name: DirectionalAccumulator.from_arrays(_part(arrays, name)) for name in sorted(names)}
         given = _part(arrays, "known")
         known = DirectionalParts.from_arrays(given) if given else None
         found = known is not None or (clustering is not None and clustering.finished)
         first = 0 if known else first
         count = known.regions.count if known else clustering.result().count if clustering and found else 0
+        pieces = known.lights.shape[1] if known else lights.shape[-1]
         numbers = [pilot, newest, density, lights, *([] if areas is None else [areas])]
         if (
             not 0 <= done <= steps
@@ -101,7 +104,10 @@ class TableState:
             or (bool(sources) or areas is not None) != (done > first)
             or (areas is not None and areas.shape != (count,))
             or (lights.size > 0 and (lights.ndim != 2 or len(lights) != count))
-            or any((source.regions, source.map.cells) != (count, cells) for source in sources.values())
+            or any(
+                (source.regions, source.map.cells) != (pieces if name == DEPARTURES else count, cells)
+                for name, source in sources.items()
+            )
             or not all(part.dtype.kind == "f" and np.isfinite(part).all() for part in numbers)
         ):
             raise ContextMismatch(UNFIT)

@@ -56,6 +56,8 @@ class DirectionalParts:
     """Region that the middle of each of the pilot's pixels shows [height, width]; for eyes only."""
     density: NDArray[np.float32]
     """Photons and importons seen from above [2, n, n], in shares of all; for eyes only."""
+    departures: DirectionalTables | None = None
+    """Where light that reaches the image leaves the emitters' pieces to [pieces, rows, columns]; None: not measured."""
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything by name, for a file."""
@@ -63,6 +65,7 @@ class DirectionalParts:
             "regions": self.regions.arrays(),
             "radiance": self.radiance.arrays(),
             "importance": self.importance.arrays(),
+            **({"departures": self.departures.arrays()} if self.departures else {}),
         }
         named = {f"{part}.{name}": array for part, owned in parts.items() for name, array in owned.items()}
         noise = np.array([self.noise], np.float32)
@@ -88,6 +91,8 @@ class DirectionalParts:
 
         regions = Regions.from_arrays(part("regions"))
         radiance, importance = (DirectionalTables.from_arrays(part(name)) for name in ("radiance", "importance"))
+        leaving = part("departures")
+        departures = DirectionalTables.from_arrays(leaving) if leaving else None
         try:
             pilot, lights, view, density = (arrays[name] for name in ("pilot", "lights", "view", "density"))
             noise = float(arrays["noise"][0])
@@ -107,9 +112,10 @@ class DirectionalParts:
             or not all(np.isfinite(part).all() and (part >= 0.0).all() for part in (pilot, lights))
             or radiance.shape[0] != regions.count
             or importance.shape != radiance.shape
+            or (departures and departures.shape[0] != lights.shape[1])
         ):
             raise ContextMismatch("the tables of the context are damaged: build it again")
-        return DirectionalParts(regions, radiance, importance, pilot, noise, lights, view, density)
+        return DirectionalParts(regions, radiance, importance, pilot, noise, lights, view, density, departures)
 
 
 @dataclass(frozen=True)

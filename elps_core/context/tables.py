@@ -18,7 +18,7 @@ from elps_core.context.field import DirectionalField
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.pilot_image import PilotImage, regions_in_view
 from elps_core.context.regions import Regions
-from elps_core.context.saved import DENSITY_SIDE, SOURCES, Arrays, Doubles, TableState
+from elps_core.context.saved import DENSITY_SIDE, DEPARTURES, SOURCES, Arrays, Doubles, TableState
 from elps_core.context.store import DirectionalParts
 from elps_core.context.surroundings import SHARE, sees_enough
 from elps_core.context.walks import WalkRecorder
@@ -180,6 +180,7 @@ class TableBuilder:
             lights=known.lights if known else self._light_tables(),
             view=regions_in_view(self.scene, self.camera, self.regions, pilot.shape),
             density=self._made.density,
+            departures=self._departures(),
         )
 
     def _light_tables(self) -> NDArray[np.float32]:
@@ -190,6 +191,10 @@ class TableBuilder:
         group = np.zeros((int(parents.max()) + 1, own.shape[1]))
         np.add.at(group, parents, own)
         return np.asarray((1.0 - LENT) * own + LENT * _shares(group)[parents], np.float32)
+
+    def _departures(self) -> DirectionalTables | None:
+        source = self._made.sources.get(DEPARTURES)
+        return finish([source]).encoded(self.settings.encoding) if source and source.batches else None
 
     def _groups(self) -> NDArray[np.uint32]:
         if self._parents is None:
@@ -337,10 +342,13 @@ class TableBuilder:
         )
         pilot.begin_step()
         recorder = WalkRecorder(bdpt, finder)
+        grid = (self.settings.rows, self.settings.columns)
         direct = mi.Float(self._made.lights.astype(np.float32).ravel())
         if not dr.width(direct):
             direct = dr.zeros(mi.Float, max(1, finder.lookup.count * pieces(lights)))
-        grid = (self.settings.rows, self.settings.columns)
+        if pieces(lights):
+            self._made.sources.setdefault(DEPARTURES, DirectionalAccumulator(pieces(lights), *grid))
+        departures = self._made.sources.get(DEPARTURES)
         seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.lookup.count, *grid)
         photons = self._made.sources.get("photons")
         # Two passes at least, each a batch, so that noise is known.
@@ -350,9 +358,11 @@ class TableBuilder:
         for part in range(passes):
             stream = Stream.of(lanes, *key, part, 0)
             place = Stream.of(here, *key, part, 2).next_2d()
-            found = recorder.eye_paths(place * mi.Point2f(size), stream, seen, importance, direct)
+            found = recorder.eye_paths(place * mi.Point2f(size), stream, seen, importance, direct, departures)
             pilot.enter(place, found)
             seen.close_batch()
+            if departures:
+                departures.close_batch(1.0)
             importance.close_batch(here * areas)
             if photons is None:
                 continue

@@ -64,11 +64,13 @@ class WalkRecorder:
         radiance: DirectionalAccumulator,
         importance: DirectionalAccumulator,
         lights: mi.Float,
+        departures: DirectionalAccumulator | None = None,
     ) -> mi.Float:
         """One path from each ``position`` on the film, in the lanes of ``stream``; the luminance that each has found.
 
         Importance counts what a pixel is worth, and is left out at the first vertex: joining light paths to the
-        sensor covers that. What light sampling finds is added to ``lights`` [regions * pieces], per unit of throughput.
+        sensor covers that. What light sampling finds is added to ``lights`` [regions * pieces], per unit of throughput;
+        what reaches the image at all, to ``departures``, by piece and direction.
         """
         bdpt = self.bdpt
         pieces = region_lights.pieces(bdpt.lights)
@@ -87,7 +89,7 @@ class WalkRecorder:
 
         def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
             wavelengths = walk.ray.wavelengths
-            emitted, _ = bdpt.connector.hit_emitter(walk, vertex, eye.region, active)
+            emitted, met = bdpt.connector.hit_emitter(walk, vertex, eye.region, active)
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             direct = smooth & (vertex.depth < bdpt.max_depth)
             chosen_by = bdpt.connector.light_region(vertex.si, direct)
@@ -96,6 +98,15 @@ class WalkRecorder:
             brought = _bright(vertex.beta, wavelengths)
             worth = brought * (walk.worth / gain)
             importance.add(region, vertex.si.to_world(vertex.si.wi), worth, smooth & (vertex.depth > 1))
+            if departures:
+                at_all = walk.worth / gain
+                leave_to = dr.normalize(vertex.si.p - start.point.si.p)
+                from_surface = direct & ~(start.point.delta | start.point.infinite)
+                bright = _bright(lit, wavelengths) * at_all
+                departures.add(start.cell // cells_per_piece, leave_to, bright, from_surface & (bright > 0.0))
+                bright = _bright(emitted, wavelengths) * at_all
+                seen = active & (vertex.depth > 1) & (bright > 0.0)
+                departures.add(met // cells_per_piece, -walk.ray.d, bright, seen)
             if pieces:
                 piece = start.cell // cells_per_piece
                 amount = _bright(lit, wavelengths) / brought
@@ -142,7 +153,7 @@ class WalkRecorder:
             renew=renew,
             going=lambda state: turns.left(state.path),
         )
-        dr.eval(found, records, where, what, importance.state, lights)
+        dr.eval(found, records, where, what, importance.state, lights, departures.state if departures else None)
         number = dr.arange(mi.UInt32, bdpt.max_depth * paths)
         slot = number // turns.paths
         path = number - slot * turns.paths

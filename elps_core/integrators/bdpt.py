@@ -133,7 +133,7 @@ class Bdpt:
         self.max_depth = max_depth = max_depth if scene.shapes() else 1
         self.roulette = roulette
         self.strategies = strategies or all_strategies(aperture=camera.has_aperture)
-        self.heuristic = Heuristic(heuristic, max_depth + 1)
+        self.heuristic = Heuristic(heuristic, max_depth + 1, self.strategies.joins)
         self.directions = directions
         self.worth = worth
         self.thinning = thinning
@@ -294,9 +294,11 @@ class Bdpt:
         """A walk at an emitter, its first ray chosen."""
         emission, point = self.lights.emission, start.point
         lanes = dr.width(start.pdf)
-        ray = emission.first_ray(point, stream.next_2d(), mi.Bool(True))
+        ray = self.lights.first_ray(start, stream.next_2d(), mi.Bool(True))
         radiance, cosine = emission.radiance(point, ray.d, mi.Bool(True))
-        pdf = emission.pdf_direction(point.index, point.delta, cosine, mi.Bool(True), infinite=point.infinite)
+        pdf = self.lights.pdf_direction(
+            point.index, start.cell, ray.d, cosine, mi.Bool(True), delta=point.delta, infinite=point.infinite
+        )
         pdf_point = dr.select(point.delta, dr.inf, start.pdf)
         return Walk(
             ray=ray,

@@ -12,6 +12,7 @@ from elps_core.integrators.pssmlt import MetropolisFrames
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.strategies import Strategies, chosen
 from elps_core.sampling.context import PixelWorth, guided
+from elps_core.sampling.departures import Departures
 from elps_core.sampling.direction import SCATTERING, Directions
 from elps_core.sampling.lights import RegionLights
 from elps_core.sampling.start import StartDensity
@@ -57,6 +58,9 @@ def paths_of(
 ) -> Bdpt:
     """The paths that ``settings`` ask for; errors as of :func:`frames`."""
     strategies = chosen(settings, aperture=camera.has_aperture)
+    region_lights = _region_lights(settings, lights, parts)
+    if parts and parts.departures and strategies.light_paths and settings.direction_sampling == "context":
+        lights = lights.departing(Departures(parts.departures, lights.rows * lights.columns))
     return Bdpt(
         scene,
         camera,
@@ -67,7 +71,7 @@ def paths_of(
         heuristic=settings.heuristic,
         directions=_directions(settings, strategies, parts),
         thinning=settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1,
-        region_lights=_region_lights(settings, lights, parts),
+        region_lights=region_lights,
         worth=PixelWorth(parts.pilot, parts.noise, camera.size) if parts and settings.roulette == "context" else None,
     )
 

@@ -34,10 +34,17 @@ class Tracked(Heuristic):
         return 5
 
     def scatter(
-        self, partial: Partial, cos_out: mi.Float, pdf_fwd: mi.Float, pdf_rev: mi.Float, delta: mi.Bool, side: Side
+        self,
+        partial: Partial,
+        cos_out: mi.Float,
+        pdf_fwd: mi.Float,
+        pdf_rev: mi.Float,
+        delta: mi.Bool,
+        side: Side,
+        first: mi.Bool | None = None,
     ) -> Partial:
         """As :meth:`Heuristic.scatter`."""
-        new = super().scatter(Partial(partial.dvcm, partial.dvc[:1]), cos_out, pdf_fwd, pdf_rev, delta, side)
+        new = super().scatter(Partial(partial.dvcm, partial.dvc[:1]), cos_out, pdf_fwd, pdf_rev, delta, side, first)
         inverse = dr.select(delta, 1.0, dr.rcp(pdf_fwd))
         spread = dr.select(delta, 0.0, cos_out * inverse)
         return Partial(new.dvcm, [*new.dvc, spread, cos_out, inverse, dr.select(delta, 1.0, pdf_rev)])

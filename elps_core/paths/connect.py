@@ -104,11 +104,14 @@ class Connector:
         active = active & (dr.max(value) > 0.0) & self._is_shown(0, vertex.depth + 1)
         pdf_start, index, cell = self.lights.pdf(emitter, vertex.si, active)
         infinite = ~vertex.si.is_valid() if emission.has_environment else mi.Bool(False)
-        pdf_omega = emission.pdf_direction(index, mi.Bool(False), cosine, active, infinite=infinite)
+        nowhere = mi.Bool(False)
+        pdf_omega = self.lights.pdf_direction(
+            index, cell, -walk.ray.d, cosine, active, delta=nowhere, infinite=infinite
+        )
         # Next event estimation may choose otherwise than light paths start, of which there may be fewer.
         ratio = self.region_lights.ratio(region, cell, active) if self.region_lights else mi.Float(1.0)
         pdf_omega = pdf_omega * (self._fraction / ratio)
-        eye = self._others(vertex.partial, pdf_start * ratio, pdf_omega, "eye", self.strategies.next_event)
+        eye = self._others(vertex, pdf_start * ratio, pdf_omega, "eye", self.strategies.next_event)
         # Directly seen light has no other strategy.
         scale = dr.select(vertex.depth == 1, 1.0, self._weight([], eye))
         return dr.select(active, vertex.beta * value * scale, 0.0), cell
@@ -138,10 +141,12 @@ class Connector:
         light: Ratios = []
         if self.strategies.emission:
             light = self.heuristic.single(dr.select(point.delta, 0.0, seen.pdf), pdf_omega, "light")
-        pdf_direction = emission.pdf_direction(point.index, point.delta, cos_light, active, infinite=point.infinite)
+        pdf_direction = self.lights.pdf_direction(
+            point.index, start.cell, -direction, cos_light, active, delta=point.delta, infinite=point.infinite
+        )
         # Were it not for regions and thinning, the density of the light vertex would cancel in the ratio.
         pdf_light = pdf_direction * cos_eye / distance2 * (self._fraction * pdf_start / start.pdf)
-        eye = self._others(vertex.partial, pdf_light, seen.pdf_rev, "eye", False)
+        eye = self._others(vertex, pdf_light, seen.pdf_rev, "eye", False)
         value = vertex.beta * seen.value * radiance * (self._weight(light, eye) / pdf_omega)
         return dr.select(active, value, 0.0), start
 
@@ -177,7 +182,7 @@ class Connector:
         active = active & ~self._hidden(vertex.si.p, sample, active)
         cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
         seen = self.directions.seen(vertex.si, wo, cosine, "light", active)
-        light = self._others(vertex.partial, sample.pdf * cosine / sample.distance2, seen.pdf_rev, "light", False)
+        light = self._others(vertex, sample.pdf * cosine / sample.distance2, seen.pdf_rev, "light", False)
         eye: Ratios = []
         if self.strategies.aperture:
             pdf_area = seen.pdf * sample.cosine / sample.distance2
@@ -192,7 +197,8 @@ class Connector:
         active = active & ~self._hidden(walk.ray.o, sample, active)
         partial = self.heuristic.arrive(walk.partial, sample.distance2, sample.cosine)
         pdf = self.camera.pdf_aperture
-        light = self._others(partial, pdf, sample.pdf, "light", self.strategies.sensor)
+        end = Vertex(mi.SurfaceInteraction3f(), walk.beta, partial, walk.depth)
+        light = self._others(end, pdf, sample.pdf, "light", self.strategies.sensor)
         scale = pdf * sample.pdf / sample.cosine * self._weight(light, [])
         return dr.select(active, walk.beta * scale, 0.0), sample
 
@@ -205,13 +211,16 @@ class Connector:
         ray.maxt = length * SHADOW
         return self.surfaces.blocked(ray, active)
 
-    def _others(
-        self, partial: Partial, pdf_from_other: mi.Float, pdf_rev: mi.Float, side: Side, nearest: bool
-    ) -> Ratios:
-        """The ratios of one side: of all strategies there, of the nearest where no other exists, or of none."""
-        if not (self.strategies.joins or nearest):
+    def _others(self, vertex: Vertex, pdf_from_other: mi.Float, pdf_rev: mi.Float, side: Side, nearest: bool) -> Ratios:
+        """The ratios of one side: of all strategies there, of the nearest where no other exists, or of none.
+
+        ``nearest``: the strategy with one vertex less exists, whether subpaths are joined or not.
+        """
+        if not (self.strategies.both or nearest):
             return []
-        return self.heuristic.others(partial, pdf_from_other, pdf_rev, side, nearest=not self.strategies.joins)
+        first = None if nearest else vertex.depth == 1
+        others = self.heuristic.others
+        return others(vertex.partial, pdf_from_other, pdf_rev, side, nearest=not self.strategies.both, first=first)
 
     def _weight(self, light: Ratios, eye: Ratios) -> mi.Float:
         return self.heuristic.weight(light, eye) if self.strategies.weighted else mi.Float(1.0)

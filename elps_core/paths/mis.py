@@ -58,6 +58,8 @@ class Heuristic:
     kind: HeuristicKind
     length: int
     """Strategies that a list must hold: the greatest number of vertices of a path."""
+    joins: bool = True
+    """Whether there are strategies with two vertices or more on either side."""
 
     @property
     def width(self) -> int:
@@ -86,34 +88,50 @@ class Heuristic:
         return Partial(partial.dvcm * self.power(distance2) * inv_cos, [ratio * inv_cos for ratio in partial.dvc])
 
     def scatter(
-        self, partial: Partial, cos_out: mi.Float, pdf_fwd: mi.Float, pdf_rev: mi.Float, delta: mi.Bool, side: Side
+        self,
+        partial: Partial,
+        cos_out: mi.Float,
+        pdf_fwd: mi.Float,
+        pdf_rev: mi.Float,
+        delta: mi.Bool,
+        side: Side,
+        first: mi.Bool | None = None,
     ) -> Partial:
         """After choosing an outgoing direction with solid-angle density ``pdf_fwd``.
 
         ``pdf_rev`` is the density of the reversed scattering event. At a Dirac event the two
-        densities cancel, and no connection is possible there.
+        densities cancel, and no connection is possible there. ``first``: where the subpath's other end is the vertex
+        before, which the other subpath can do without being joined in the middle; None: everywhere.
         """
         inv_fwd = dr.rcp(pdf_fwd)
         head = self.power(cos_out * inv_fwd)
         tail = dr.select(delta, self.power(cos_out), head * self.power(pdf_rev))
         return Partial(
             dr.select(delta, 0.0, self.power(inv_fwd)),
-            self._gather(dr.select(delta, 0.0, head * partial.dvcm), tail, partial.dvc, side),
+            self._gather(self._joined(dr.select(delta, 0.0, head * partial.dvcm), first), tail, partial.dvc, side),
         )
 
     def others(
-        self, partial: Partial, pdf_from_other: mi.Float, pdf_rev: mi.Float, side: Side, *, nearest: bool = False
+        self,
+        partial: Partial,
+        pdf_from_other: mi.Float,
+        pdf_rev: mi.Float,
+        side: Side,
+        *,
+        nearest: bool = False,
+        first: mi.Bool | None = None,
     ) -> Ratios:
         """Ratios (other strategy / this one) that lie on this subpath's side.
 
         ``pdf_from_other`` is the area density of this vertex as sampled from the other subpath's
         end, ``pdf_rev`` the solid-angle density of this vertex's predecessor given that direction.
-        ``nearest``: only the strategy with one vertex less on this side exists.
+        ``nearest``: only the strategy with one vertex less on this side exists; ``first``: where that one exists
+        though nothing is joined in the middle, None for everywhere.
         """
         scale = self.power(pdf_from_other)
         if nearest:
             return self._gather(scale * partial.dvcm, mi.Float(0.0), [], side)
-        return self._gather(scale * partial.dvcm, scale * self.power(pdf_rev), partial.dvc, side)
+        return self._gather(self._joined(scale * partial.dvcm, first), scale * self.power(pdf_rev), partial.dvc, side)
 
     def single(self, pdf_other: mi.Float, pdf_this: mi.Float, side: Side) -> Ratios:
         """The ratio of the one strategy on a side whose subpath is a single vertex."""
@@ -133,6 +151,9 @@ class Heuristic:
     def power(self, density: mi.Float) -> mi.Float:
         """A density or density ratio as this heuristic counts it."""
         return density * density if self.kind == "power" else density
+
+    def _joined(self, head: mi.Float, first: mi.Bool | None) -> mi.Float:
+        return head if self.joins or first is None else dr.select(first, head, 0.0)
 
     def _gather(self, head: mi.Float, scale: mi.Float, tail: Ratios, side: Side) -> Ratios:
         """One more strategy ``head`` before the scaled ``tail``."""

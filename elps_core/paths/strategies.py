@@ -40,6 +40,11 @@ class Strategies:
         return self.emission or self.next_event or self.joins
 
     @property
+    def both(self) -> bool:
+        """Whether paths from either end compete for the same light."""
+        return self.joins or (self.sensor and self.emission and self.next_event)
+
+    @property
     def light_paths(self) -> bool:
         """Whether light paths are traced."""
         return self.joins or self.sensor or self.aperture
@@ -80,5 +85,6 @@ def chosen(settings: RenderSettings, *, aperture: bool) -> Strategies:
         return light(connect=settings.light.connect, aperture=aperture)
     every = bdpt(aperture=aperture)
     if settings.integrator == "bdpt":
-        return replace(every, shown=settings.bdpt.pairs(), weighted=settings.bdpt.weighted)
+        joins, shown, weighted = settings.bdpt.joins, settings.bdpt.pairs(), settings.bdpt.weighted
+        return replace(every, joins=joins, shown=shown, weighted=weighted)
     return every

@@ -119,7 +119,9 @@ def random_walk(
         after = Walk(
             ray=si.spawn_ray(direction),
             beta=beta / survival,
-            partial=heuristic.scatter(vertex.partial, cos_out, event.pdf, event.pdf_rev, event.delta, side),
+            partial=heuristic.scatter(
+                vertex.partial, cos_out, event.pdf, event.pdf_rev, event.delta, side, vertex.depth == 1
+            ),
             eta=eta,
             depth=vertex.depth,
             offset=mi.Float(0.0),

@@ -7,6 +7,7 @@ same density serves the start of light paths and next event estimation.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.sampling.departures import Departures
 from elps_core.sampling.inversion import RESOLUTION, cumulative, drawn, quantized
 from elps_core.scene.emission import Emission, LightPoint
 
@@ -56,6 +58,13 @@ class StartDensity:
         self.flat = bool(np.all(by_emitter.max(axis=1) <= by_emitter.min(axis=1) * (1 + 1e-4)))
         """Whether the density is constant on each emitter, so that F^-1 is not needed."""
         self._mean = mi.Float((by_emitter.mean(axis=1)).astype(np.float32))
+        self._departures: Departures | None = None
+
+    def departing(self, departures: Departures) -> StartDensity:
+        """The same points, and first directions by ``departures``."""
+        other = copy(self)
+        other._departures = departures
+        return other
 
     def sample(
         self,
@@ -104,6 +113,35 @@ class StartDensity:
         u = self.emission.inverse(index, si, active)
         cell = self.cell(index, u)
         return dr.gather(mi.Float, self._density, cell, active) * pdf, index, cell
+
+    def first_ray(self, start: Start, u: mi.Point2f, active: mi.Bool) -> mi.Ray3f:
+        """The first ray of a light path from ``start``; density by :meth:`pdf_direction`."""
+        point = start.point
+        if self._departures is None:
+            return self.emission.first_ray(point, u, active)
+        from_surface = active & ~(point.delta | point.infinite)
+        by_table, direction, u = self._departures.choose(start.cell, u, from_surface)
+        ray = self.emission.first_ray(point, u, active)
+        ray.d = dr.select(by_table, direction, ray.d)
+        ray.o = dr.select(by_table, point.si.spawn_ray(direction).o, ray.o)
+        return ray
+
+    def pdf_direction(
+        self,
+        index: mi.UInt32,
+        cell: mi.UInt32,
+        direction: mi.Vector3f,
+        cosine: mi.Float,
+        active: mi.Bool,
+        *,
+        delta: mi.Bool,
+        infinite: mi.Bool,
+    ) -> mi.Float:
+        """Density of :meth:`first_ray` given its point in ``cell``, measure and ``cosine`` as of the emission's own."""
+        pdf = self.emission.pdf_direction(index, delta, cosine, active, infinite=infinite)
+        if self._departures is None:
+            return pdf
+        return self._departures.mixed(pdf, cell, direction, active & ~(delta | infinite))
 
     def cell(self, index: mi.UInt32, u: mi.Point2f) -> mi.UInt32:
         """The cell of emitter ``index`` that holds the point of its unit square."""

@@ -32,7 +32,10 @@ WAYS: dict[str, list[str]] = {
     "enlightened path": ["--integrator", "path", *FORCED],
     "enlightened bdpt": ["--integrator", "bdpt", *FORCED, "--set", "bdpt.guided_light=true"],
     "enlightened bdpt, 4 eye paths": ["--integrator", "bdpt", *FORCED, "--set", "bdpt.eye_paths=4"],
-    "enlightened bdpt, 16 eye paths": ["--integrator", "bdpt", *FORCED, "--set", "bdpt.eye_paths=16"],
+    "enlightened bdpt, unjoined": [
+        *("--integrator", "bdpt", *FORCED, "--set", "bdpt.eye_paths=4"),
+        *("--set", "bdpt.joins=false"),
+    ],
     "enlightened pssmlt": ["--integrator", "pssmlt", *FORCED],
     "enlightened pssmlt over path": ["--integrator", "pssmlt", *FORCED, "--set", "pssmlt.over=path"],
     "thesis bdpt": ["--integrator", "bdpt", "--preset", "thesis"],
@@ -78,7 +81,7 @@ class Case:
 
     make: Callable[[Path], None]
     ways: tuple[str, ...]
-    reference: str = "enlightened bdpt, 4 eye paths"
+    reference: str = "enlightened bdpt, unjoined"
     factor: float = 1.0
     """Of the seconds of a render."""
     pictures: tuple[str, ...] = ()
@@ -95,7 +98,7 @@ CASES = {
         (
             *EASY,
             "enlightened bdpt, 4 eye paths",
-            "enlightened bdpt, 16 eye paths",
+            "enlightened bdpt, unjoined",
             "pssmlt",
             "enlightened pssmlt",
             "enlightened pssmlt over path",
@@ -104,15 +107,19 @@ CASES = {
         ),
         pictures=("mi_path", "enlightened path", "auto"),
     ),
-    "door 3": Case(lambda path: write(door(angle=3.0), path), (*PEERS, "enlightened path", "auto"), factor=2.0),
+    "door 3": Case(
+        lambda path: write(door(angle=3.0), path),
+        (*PEERS, "enlightened path", "enlightened bdpt, unjoined", "auto"),
+        factor=2.0,
+    ),
     "maze": Case(
         lambda path: write(maze(), path),
-        tuple(dict.fromkeys((*EASY, "enlightened bdpt, 16 eye paths", *FOUR))),
+        tuple(dict.fromkeys((*EASY, "enlightened bdpt, unjoined", *FOUR))),
         pictures=FOUR,
     ),
     "bulb in glass": Case(
         bulb,
-        (*PEERS, "bdpt", "enlightened path", "enlightened bdpt", "auto"),
+        (*PEERS, "bdpt", "enlightened path", "enlightened bdpt", "enlightened bdpt, unjoined", "auto"),
         "bdpt",
         pictures=("mi_path", "auto"),
     ),

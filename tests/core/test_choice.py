@@ -11,6 +11,7 @@ from elps_core.choice import (
     AHEAD,
     CANDIDATES,
     HOPELESS,
+    JOINED,
     PILOTS,
     SCOUTS,
     Choice,
@@ -65,7 +66,8 @@ def test_auto_takes_over_what_every_candidate_has() -> None:
         ("path", {}, "pp", "pe"),
         ("bdpt", {}, "bp", "be"),
         ("bdpt", {"bdpt.eye_paths": 4}, "bp", "be4ep"),
-        ("bdpt", {"bdpt.eye_paths": 16}, "bp", "be1ep"),
+        ("bdpt", {"bdpt.eye_paths": 16}, "bp", "be4ep"),
+        ("bdpt", {"bdpt.eye_paths": 16, "bdpt.joins": False}, "bp", "beu"),
         ("light", {}, "bp", "be"),
         ("pssmlt", {"pssmlt.multiplexed": True}, "bp", "be"),
     ],
@@ -146,7 +148,7 @@ def scouts(**efficiencies: float) -> list[Pilot]:
         ({}, False),
         ({"pp": 1.01 * AHEAD}, True),
         ({"bp": 1.01 * AHEAD}, True),
-        ({"pp": 1.01 * AHEAD, "be4ep": 1.02}, False),
+        ({"pp": 1.01 * AHEAD, "beu": 1.02}, False),
         ({"pp": 0.1, "bp": 0.1}, False),
     ],
 )
@@ -160,8 +162,27 @@ def test_scouts_need_something_to_compare() -> None:
 
 
 def test_hopeless_plain_candidates_are_not_measured_again() -> None:
-    assert worth_measuring(scouts(pp=9.0)) == ["path, plain"]
-    assert worth_measuring(scouts(pp=9.0, bp=9.1 / HOPELESS)) == ["path, plain", "bdpt, plain"]
+    every = list(CANDIDATES)
+    assert worth_measuring(every, scouts(pp=9.0)) == ["path, plain"]
+    assert worth_measuring(every, scouts(pp=9.0, bp=9.1 / HOPELESS)) == ["path, plain", "bdpt, plain"]
+    assert worth_measuring(every[1:], scouts(pp=9.0, bp=9.1 / HOPELESS)) == ["bdpt, plain"]
+
+
+def test_subpaths_are_joined_by_context_where_it_may_pay() -> None:
+    every = list(CANDIDATES)
+    assert worth_measuring(every, []) == every
+    assert worth_measuring(every, scouts(pe=9.0, bp=9.1 / HOPELESS)) == every
+    assert worth_measuring(every, scouts(pe=9.0, bp=8.9 / HOPELESS)) == [n for n in every if n not in JOINED]
+
+
+def test_what_was_left_out_is_judged_by_what_is_nearest() -> None:
+    found = statistics(bp=2.0, beu=3.0)
+    found[PILOTS] = [entry for entry in found[PILOTS] if entry["name"] not in JOINED]
+    asked = RenderSettings(integrator="bdpt", **CONTEXT)
+    assert choose(asked, found).name == "bdpt, enlightened"
+    found = statistics(bp=2.0, be4ep=3.0)
+    found[PILOTS] = [entry for entry in found[PILOTS] if entry["name"] != JOINED[0]]
+    assert choose(asked, found).name == "bdpt, enlightened"
 
 
 def test_auto_needs_pilots() -> None:

@@ -23,6 +23,9 @@ DEPTH = 4
 EVERYWHERE: dict[str, Any] = {"table_share": 0.5, "bdpt__guided_light": True}
 """Tables guide the paths from both ends."""
 
+UNJOINED: dict[str, Any] = {"bdpt__joins": False, "bdpt__eye_paths": 4}
+"""Light paths bring what they can show to the sensor."""
+
 SCENES: list[tuple[str, str, adversaries.Kind, float]] = [
     ("mixed", "path", "random", 2.0),
     ("mixed", "light", "random", 16.0),
@@ -52,7 +55,8 @@ def test_no_tables_move_the_radiance_in_a_sphere(mi: Any, algorithm: str, kind: 
     scene = sphere(mi, "area")
     parts = adversaries.parts(scene, kind)
     options = EVERYWHERE | {"parts": parts, "roulette": "albedo"}
-    images = render(scene, algorithm, images=IMAGES, spp=192, max_depth=DEPTH, **options)
+    spp = 640 if algorithm == "light" else 192  # A spiked table has many paths with little to bring
+    images = render(scene, algorithm, images=IMAGES, spp=spp, max_depth=DEPTH, **options)
     check(images, up_to("area", DEPTH), bound=BOUND)
 
 
@@ -63,6 +67,21 @@ def test_no_tables_move_what_chains_find(mi: Any) -> None:
     options |= EVERYWHERE
     images = render(scene, "pssmlt", images=IMAGES, spp=128, max_depth=3, **options)
     check(images, up_to("area", 3), bound=BOUND)
+
+
+@pytest.mark.parametrize("kind", adversaries.KINDS)
+def test_no_tables_move_what_unjoined_paths_find(mi: Any, kind: adversaries.Kind) -> None:
+    scene = sphere(mi, "area")
+    options = EVERYWHERE | UNJOINED | {"parts": adversaries.parts(scene, kind), "roulette": "albedo"}
+    images = render(scene, "bdpt", images=IMAGES, spp=256, max_depth=DEPTH, **options)
+    check(images, up_to("area", DEPTH), bound=BOUND)
+
+
+@pytest.mark.parametrize(("name", "more"), [("mixed", 2.0), ("roughdielectric", 16.0)])
+def test_no_tables_move_the_image_of_unjoined_paths(agree: Agree, name: str, more: float) -> None:
+    agreement = agree(name, "bdpt", more=more, wrong="random", roulette="albedo", **EVERYWHERE, **UNJOINED)
+    assert agreement.agrees, agreement
+    assert agreement.detectable < BOUND, agreement
 
 
 @pytest.mark.parametrize(("algorithm", "kind"), [("path", "random"), ("light", "spiked"), ("bdpt", "random")])

@@ -93,10 +93,8 @@ def test_pairs_within_a_set_are_decoupled(mi: Any) -> None:
 
 def correlations(first: Numbers, second: Numbers) -> Numbers:
     """Of each set's points."""
-    middle = (POINTS - 1) / (2 * POINTS)
-    return np.asarray(
-        ((np.floor(first * POINTS) / POINTS - middle) * (np.floor(second * POINTS) / POINTS - middle)).mean(1)
-    )
+    first, second = (np.floor(numbers * POINTS) - (POINTS - 1) / 2 for numbers in (first, second))
+    return np.asarray((first * second).mean(axis=1) / POINTS**2)
 
 
 def shuffled(seed: int) -> Numbers:
