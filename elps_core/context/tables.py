@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -315,6 +316,8 @@ class TableBuilder:
         number: int,
         key: tuple[int, ...],
     ) -> None:
+        if self._made.known:
+            self._made.known = _with_pieces(self._made.known, lights)
         pilot, size, known = self._made.pilot, self.camera.size, self._made.known
         importance, directions, worth = self._made.sources["importance"], finder, None
         if number or known:
@@ -348,7 +351,7 @@ class TableBuilder:
             direct = dr.zeros(mi.Float, max(1, finder.lookup.count * pieces(lights)))
         if pieces(lights):
             self._made.sources.setdefault(DEPARTURES, DirectionalAccumulator(pieces(lights), *grid))
-        departures = self._made.sources.get(DEPARTURES)
+        leaving = self._made.sources.get(DEPARTURES)
         seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.lookup.count, *grid)
         photons = self._made.sources.get("photons")
         # Two passes at least, each a batch, so that noise is known.
@@ -358,11 +361,11 @@ class TableBuilder:
         for part in range(passes):
             stream = Stream.of(lanes, *key, part, 0)
             place = Stream.of(here, *key, part, 2).next_2d()
-            found = recorder.eye_paths(place * mi.Point2f(size), stream, seen, importance, direct, departures)
+            found = recorder.eye_paths(place * mi.Point2f(size), stream, seen, importance, direct, leaving)
             pilot.enter(place, found)
             seen.close_batch()
-            if departures:
-                departures.close_batch(1.0)
+            if leaving:
+                leaving.close_batch(1.0)
             importance.close_batch(here * areas)
             if photons is None:
                 continue
@@ -408,6 +411,16 @@ class TableBuilder:
         film = place * mi.Point2f(self.camera.size)
         radiance, wavelengths = bdpt.trace(film, streams, lambda *_: None, light_scale=None, turns=turns)
         self._made.pilot.enter(place, luminance(mi.UnpolarizedSpectrum(radiance), wavelengths))
+
+
+def _with_pieces(known: DirectionalParts, lights: StartDensity) -> DirectionalParts:
+    """Another camera's tables, of lights by the pieces that ``lights`` has: where it is flat it has one an emitter."""
+    wanted, emitters = pieces(lights), lights.emission.count
+    if known.lights.shape[1] == wanted:
+        return replace(known, departures=None)
+    by_emitter = known.lights.reshape(len(known.lights), emitters, -1).sum(axis=2) if wanted else known.lights[:, :0]
+    each = max(1, wanted // emitters)
+    return replace(known, lights=np.repeat(by_emitter / np.float32(each), each, axis=1), departures=None)
 
 
 def _shares(sums: Doubles) -> Doubles:

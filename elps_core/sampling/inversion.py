@@ -49,5 +49,6 @@ def drawn(
     index = interval(edges, first, size, x, active)
     low = dr.gather(mi.Float, edges, first + index, active)
     high = dr.gather(mi.Float, edges, first + index + 1, active)
-    inside = (x - low + fine / RESOLUTION) / (high - low)
+    # A step at least, as every interval has: where nothing was read there is no width.
+    inside = (x - low + fine / RESOLUTION) / dr.maximum(high - low, 1.0 / RESOLUTION)
     return index, dr.clip(inside, 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
