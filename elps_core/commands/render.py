@@ -78,10 +78,10 @@ def render(
     from elps_core.scene import reach
     from elps_core.scene.digest import render_digest
     from elps_core.scene.loader import load_scene
-    from elps_core.timing import CompileClock
+    from elps_core.timing import KernelClock
 
     console = Console(stderr=True)
-    with CompileClock() as compilation, _progress(console) as progress:
+    with KernelClock() as kernels, _progress(console) as progress:
         task = progress.add_task("loading", total=None)
         wanted = (settings.width, settings.height) if settings.width and settings.height else None
         loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=wanted)
@@ -108,7 +108,7 @@ def render(
     figures = {
         "seconds_total": round(total, 3),
         "seconds_context": round(preparation.seconds, 3),
-        "seconds_compile": round(compilation.seconds, 3),
+        "seconds_compile": round(kernels.compiling, 3),
         "spp": merged.spp,
         "context": {"digest": found.digest if found else None, "hit": preparation.hit},
         "choice": renderer.choice.report(),
@@ -123,7 +123,7 @@ def render(
     shown = "unknown" if relative is None else f"{100 * float(str(relative)):.2f}%"
     console.print(
         f"{output}: {merged.spp} samples per pixel in {total:.1f} s (context {preparation.seconds:.1f} s, "
-        f"compilation {compilation.seconds:.1f} s), relative error {shown}",
+        f"compilation {kernels.compiling:.1f} s), relative error {shown}",
         highlight=False,
         markup=False,
         soft_wrap=True,

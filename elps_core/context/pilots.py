@@ -18,6 +18,7 @@ from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
 from elps_core.settings import ContextSettings, RenderSettings
+from elps_core.timing import KernelClock
 
 BLOCK = 1 << 15
 """Samples of a block."""
@@ -67,12 +68,12 @@ class PilotRunner:
         found: list[tuple[float, float]] = []  # Variance and mean of each block
         seconds, begin = 0.0, time.perf_counter()
         while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < limit):
-            start = time.perf_counter()
-            found.append(self._block(bdpt, (*key, len(found))))
+            # Of kernels alone: what comes before they run is the same for the many more samples of a chunk.
+            with KernelClock() as kernels:
+                found.append(self._block(bdpt, (*key, len(found))))
+            seconds += kernels.running
             if len(found) == 1:  # Compiled, and perhaps for the first time
                 begin = time.perf_counter()
-            else:
-                seconds += time.perf_counter() - start
         count = len(found)
         (variance, mean), (error, mean_error) = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(count)
         return Pilot(
@@ -81,7 +82,7 @@ class PilotRunner:
             error=float(error),
             mean=float(mean),
             mean_error=float(mean_error),
-            microseconds=1e6 * seconds / (BLOCK * (count - 1)),
+            microseconds=1e6 * seconds / (BLOCK * count),
             samples=BLOCK * count,
         )
 
