@@ -32,6 +32,8 @@ CANDIDATES: dict[str, dict[str, Any]] = {
 """What pilots compare, and ``auto`` chooses from."""
 JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
 """Those that may win where joining subpaths pays, and cost the more where it does not."""
+EYE_PATHS, WITH_CAUSTICS = "path, enlightened", "bdpt, enlightened, unjoined"
+"""The same eye paths, alone and with the light paths that can tell of their variance."""
 SCOUTS = ("path, plain", "path, enlightened", "bdpt, plain", "bdpt, enlightened, unjoined")
 """Those that are compared early in training already, so that it can stop where tables will not pay."""
 AHEAD = 1.25
@@ -65,6 +67,8 @@ class Pilot:
     microseconds: float
     """Of one sample."""
     samples: int
+    rival: float = 0.0
+    """Variance, in the same measure, that eye paths alone have at least, by what light paths have met."""
 
     @property
     def efficiency(self) -> float:
@@ -75,11 +79,14 @@ class Pilot:
         """This pilot with the variance that it is known to have: with that of light that it has not met.
 
         What others certainly find, and this one has not in n samples, it finds with less than about one in n: the
-        variance is then n times the square of the light that is missing, at least.
+        variance is then n times the square of the light that is missing, at least. Of caustics that eye paths seldom
+        meet, and which are then too bright by far, light paths can tell.
         """
-        certain = max(pilot.mean - SIGMAS * pilot.mean_error for pilot in pilots)
+        every = tuple(pilots)
+        certain = max(pilot.mean - SIGMAS * pilot.mean_error for pilot in every)
         missing = max(0.0, certain - self.mean - SIGMAS * self.mean_error)
-        return replace(self, variance=self.variance + missing**2 * self.samples)
+        rival = max(pilot.rival for pilot in every) if self.name == EYE_PATHS else 0.0
+        return replace(self, variance=max(self.variance + missing**2 * self.samples, rival))
 
 
 @dataclass(frozen=True)

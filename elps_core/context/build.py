@@ -190,7 +190,7 @@ class ContextBuilder:
         try:
             record = load_tensors(data)
             batches, seconds = record["batches"], float(record["seconds"][0])
-            none = np.zeros((0, 6))
+            none = np.zeros((0, 7))
             early = [name for name in SCOUTS if name in self._candidates]
             scouts = [_pilot(*entry) for entry in zip(early, record.get("scouts", none), strict=False)]
             names = worth_measuring(self._candidates, scouts)
@@ -214,13 +214,13 @@ class ContextBuilder:
 
 
 def _rows(pilots: list[Pilot]) -> NDArray[np.float64]:
-    """[n, 6]: all that pilots say but their names."""
+    """[n, 7]: all that pilots say but their names."""
     return np.array([astuple(pilot)[1:] for pilot in pilots], np.float64)
 
 
 def _pilot(name: str, row: NDArray[np.float64]) -> Pilot:
-    variance, error, mean, mean_error, microseconds, samples = (float(number) for number in row)
-    return Pilot(name, variance, error, mean, mean_error, microseconds, int(samples))
+    variance, error, mean, mean_error, microseconds, samples, rival = (float(number) for number in row)
+    return Pilot(name, variance, error, mean, mean_error, microseconds, int(samples), rival)
 
 
 def start_density(context: GlobalContext, emission: Emission) -> StartDensity:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from elps_core.choice import CANDIDATES, Pilot, candidate
+from elps_core.choice import CANDIDATES, WITH_CAUSTICS, Pilot, candidate
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.make import paths_of
@@ -34,6 +35,10 @@ SMALLEST = 1e-18
 """What a pixel of a black image counts as: its inverse has a square that is a float."""
 STREAM = 0x9170
 """Sets the random numbers of pilots apart from those of renders and tables with the same seed."""
+RIVALS = 1 << 17
+"""Light paths that tell of the variance of eye paths."""
+RIVAL = 0xFFFF
+"""Keeps their random numbers apart from those of blocks."""
 SUMS = 1 << 10
 """Places that a sum is spread over, so that threads seldom meet."""
 
@@ -74,6 +79,7 @@ class PilotRunner:
             seconds += kernels.running
             if len(found) == 1:  # Compiled, and perhaps for the first time
                 begin = time.perf_counter()
+        rival = self._rival(bdpt, (*key, RIVAL)) if name == WITH_CAUSTICS else 0.0
         count = len(found)
         (variance, mean), (error, mean_error) = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(count)
         return Pilot(
@@ -84,6 +90,7 @@ class PilotRunner:
             mean_error=float(mean_error),
             microseconds=1e6 * seconds / (BLOCK * count),
             samples=BLOCK * count,
+            rival=rival,
         )
 
     def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> tuple[float, float]:
@@ -126,6 +133,29 @@ class PilotRunner:
             mean += float(means.mean()) * (count / BLOCK)
         of_light, by_light = (float(dr.sum(total)[0]) / lit for total in (squares, sums))
         return variance + thinning * of_light, mean + by_light
+
+    def _rival(self, bdpt: Bdpt, key: tuple[int, ...]) -> float:
+        """Variance of the eye paths of ``bdpt`` without its light paths, by what light paths meet.
+
+        Eye paths meet a caustic once in a million, and it decides their variance: a pilot would not see it. Light paths
+        that make the same paths with density p know the density q of eye paths: E_p[(f / p)^2 p / q] = E_q[(f / q)^2].
+        Counted where p > q alone, where that mean is the easier one to know.
+        """
+        lights_alone = bdpt.selecting(replace(bdpt.strategies, rivals=True))
+        squares = dr.zeros(mi.Float, SUMS)
+
+        def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
+            relative = luminance(mi.UnpolarizedSpectrum(value), wavelengths) * self._worth(where)
+            place = mi.UInt32(dr.abs(where.x) * SUMS) & (SUMS - 1)
+            dr.scatter_reduce(dr.ReduceOp.Add, squares, dr.square(relative), place, active & dr.isfinite(relative))
+
+        sample = dr.arange(mi.UInt32, RIVALS)
+        nets = Nets(dr.zeros(mi.UInt32, RIVALS), sample, opaque_key(*key))
+        lane = dr.arange(mi.UInt32, RIVALS // TURNS)
+        streams = Stream.of(RIVALS // TURNS, *key, 1), nets.stream(lane)
+        lights_alone.trace(dr.zeros(mi.Point2f, RIVALS), streams, splat, turns=TURNS)
+        # The square of their mean is no variance: they bring a pixel's light at most, which counts as 1.
+        return max(0.0, float(dr.sum(squares)[0]) / RIVALS - 1.0)
 
     def _worth(self, position: mi.Point2f) -> mi.Float:
         """1 / the pilot image at film positions."""

@@ -193,6 +193,8 @@ class Bdpt:
         if self.strategies.light_paths and self.max_depth >= 2 and light_scale is not None:
             cells = self._light_walk(light_stream, samples, store, splat, deposit)
         between()
+        if self.strategies.rivals:
+            return dr.zeros(mi.Spectrum), self.primary(position, None, samples.u_wavelength).ray.wavelengths
 
         def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
             emitted, hit_cell = connector.hit_emitter(walk, vertex, eye.region, active)

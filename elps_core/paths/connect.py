@@ -187,7 +187,8 @@ class Connector:
         if self.strategies.aperture:
             pdf_area = seen.pdf * sample.cosine / sample.distance2
             eye = self.heuristic.single(pdf_area, self.camera.pdf_aperture, "eye")
-        scale = sample.pdf / sample.distance2 * self._weight(light, eye)
+        weight = self._as_rival(light) if self.strategies.rivals else self._weight(light, eye)
+        scale = sample.pdf / sample.distance2 * weight
         return dr.select(active, vertex.beta * seen.value * scale, 0.0), sample
 
     def hit_aperture(self, walk: Walk, active: mi.Bool) -> tuple[mi.Spectrum, SensorSample]:
@@ -224,6 +225,17 @@ class Connector:
 
     def _weight(self, light: Ratios, eye: Ratios) -> mi.Float:
         return self.heuristic.weight(light, eye) if self.strategies.weighted else mi.Float(1.0)
+
+    def _as_rival(self, light: Ratios) -> mi.Float:
+        """What turns a light path's contribution f / p into one whose square has the mean of (f / q)^2.
+
+        p is its density, and q that of eye paths: the root of p / q. None where eye paths are the likelier.
+        """
+        # The heuristic counts powers of q / (fraction p), the greater the likelier eye paths are.
+        ratio = sum(light, mi.Float(0.0))
+        ratio = dr.sqrt(ratio) if self.heuristic.kind == "power" else ratio
+        ratio = ratio * self._fraction
+        return dr.select((ratio > 0.0) & (ratio < 1.0), dr.rsqrt(ratio), 0.0)
 
     def _is_shown(self, s: mi.UInt32 | int, t: mi.UInt32 | int) -> mi.Bool:
         if self.strategies.shown is None:

@@ -33,11 +33,14 @@ class Strategies:
     """Whether contributions are weighted; without, each strategy is the whole of its paths' light."""
     direct: bool = True
     """Whether light that the sensor sees directly is shown."""
+    rivals: bool = False
+    """Whether light paths are shown so that the mean of their squares is that of eye paths: of those of them that light
+    paths find the more easily. Nothing else is shown then."""
 
     @property
     def eye_paths(self) -> bool:
         """Whether eye paths go on after the first vertex."""
-        return self.emission or self.next_event or self.joins
+        return (self.emission or self.next_event or self.joins) and not self.rivals
 
     @property
     def both(self) -> bool:

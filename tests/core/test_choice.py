@@ -232,6 +232,18 @@ def test_what_pilots_have_not_met_counts(error: float, name: str) -> None:
     assert choose(AUTO, {PILOTS: entries}).name == name
 
 
+def test_light_paths_tell_of_the_variance_of_eye_paths() -> None:
+    """What eye paths have not met in a pilot, and would be far too bright: only that of the same eye paths."""
+    found = statistics(pe=3.0, beu=2.0, pp=1.9)
+    assert choose(AUTO, found).name == "path, enlightened"
+    (told,) = (entry for entry in found[PILOTS] if entry["name"] == "bdpt, enlightened, unjoined")
+    told["rival"] = 1e6 / 1.5
+    choice = choose(AUTO, found)
+    assert choice.name == "bdpt, enlightened, unjoined"
+    assert {p.name: p.efficiency for p in choice.pilots}["path, enlightened"] == pytest.approx(1.5)
+    assert {p.name: p.efficiency for p in choice.pilots}["path, plain"] == pytest.approx(1.9)
+
+
 def test_a_choice_tells_its_evidence() -> None:
     choice = choose(AUTO, statistics(pe=4.0))
     report = choice.report()

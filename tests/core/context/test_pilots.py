@@ -110,3 +110,10 @@ def test_auto_renders_what_pilots_chose(box: LoadedScene) -> None:
     assert renderer.choice.name in CANDIDATES
     forced = Renderer(box, candidate(settings, renderer.choice.name), context_of(box))
     assert np.allclose(renderer.render_chunk(0, 4).image, forced.render_chunk(0, 4).image, rtol=1e-4, atol=1e-5)
+
+
+def test_light_paths_tell_no_more_than_the_variance_of_eye_paths(box: LoadedScene) -> None:
+    pilots = {entry["name"]: entry for entry in context_of(box).statistics[PILOTS]}
+    rival = pilots["bdpt, enlightened, unjoined"]["rival"]
+    assert 0.0 <= rival < 1.3 * pilots["path, enlightened"]["variance"]
+    assert all(entry["rival"] == 0.0 for name, entry in pilots.items() if name != "bdpt, enlightened, unjoined")
