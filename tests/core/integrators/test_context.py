@@ -69,7 +69,7 @@ def test_no_tables_move_what_chains_find(mi: Any) -> None:
     check(images, up_to("area", 3), bound=BOUND)
 
 
-@pytest.mark.parametrize("kind", adversaries.KINDS)
+@pytest.mark.parametrize("kind", ["random", "spiked"])
 def test_no_tables_move_what_unjoined_paths_find(mi: Any, kind: adversaries.Kind) -> None:
     scene = sphere(mi, "area")
     options = EVERYWHERE | UNJOINED | {"parts": adversaries.parts(scene, kind), "roulette": "albedo"}
@@ -77,9 +77,8 @@ def test_no_tables_move_what_unjoined_paths_find(mi: Any, kind: adversaries.Kind
     check(images, up_to("area", DEPTH), bound=BOUND)
 
 
-@pytest.mark.parametrize(("name", "more"), [("mixed", 2.0), ("roughdielectric", 16.0)])
-def test_no_tables_move_the_image_of_unjoined_paths(agree: Agree, name: str, more: float) -> None:
-    agreement = agree(name, "bdpt", more=more, wrong="random", roulette="albedo", **EVERYWHERE, **UNJOINED)
+def test_no_tables_move_the_image_of_unjoined_paths(agree: Agree) -> None:
+    agreement = agree("roughdielectric", "bdpt", more=16.0, wrong="random", roulette="albedo", **EVERYWHERE, **UNJOINED)
     assert agreement.agrees, agreement
     assert agreement.detectable < BOUND, agreement
 

@@ -24,7 +24,7 @@ CHOICE = {
     "light": ["area-textured", "area-two-sided-surface", "envmap", "principled", "twosided", "thinlens-wide"],
     "light pure": ["thinlens-wide"],
     "bdpt": [name for name in ZOO if name not in {"maze", "hair", *COVERED}],
-    "pssmlt": ["envmap", "thinlens-wide"],
+    "pssmlt": ["envmap"],
 }
 MORE = {"path": 2.0, "path pure": 4.0, "light": 6.0, "light pure": 70.0, "bdpt": 1.0, "pssmlt": 5.0}
 """Samples of an algorithm, as a multiple of those of bdpt."""
