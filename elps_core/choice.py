@@ -34,7 +34,7 @@ JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
 """Those that may win where joining subpaths pays, and cost the more where it does not."""
 EYE_PATHS, WITH_CAUSTICS = "path, enlightened", "bdpt, enlightened, unjoined"
 """The same eye paths, alone and with the light paths that can tell of their variance."""
-SCOUTS = ("path, plain", "path, enlightened", "bdpt, plain", "bdpt, enlightened, unjoined")
+SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", WITH_CAUSTICS)
 """Those that are compared early in training already, so that it can stop where tables will not pay."""
 AHEAD = 1.25
 """How many times as efficient as the best enlightened one a plain one must be then: tables are still to improve.
@@ -202,12 +202,12 @@ def _forms(integrator: str, bdpt: BdptSettings) -> tuple[str, str]:
         return "path, plain", "path, enlightened"
     if integrator != "bdpt" or (bdpt.joins and bdpt.eye_paths == 1):
         return "bdpt, plain", "bdpt, enlightened"
-    return "bdpt, plain", "bdpt, enlightened, 4 eye paths" if bdpt.joins else "bdpt, enlightened, unjoined"
+    return "bdpt, plain", "bdpt, enlightened, 4 eye paths" if bdpt.joins else WITH_CAUSTICS
 
 
 def _of(name: str, efficiency: Mapping[str, float]) -> float:
     """Efficiency of a candidate; of what is nearest to it where it was left out, 0 if nothing is."""
-    near = (name, *JOINED, "bdpt, enlightened, unjoined") if name in JOINED else (name,)
+    near = (name, *JOINED, WITH_CAUSTICS) if name in JOINED else (name,)
     return next((efficiency[other] for other in near if other in efficiency), 0.0)
 
 

@@ -6,6 +6,8 @@ importance, a pilot image and an adjoint image of its own, and no more.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -15,6 +17,7 @@ from elps_core.context.store import DirectionalParts
 from elps_core.particles.classical import ClassicalSampler
 from elps_core.particles.records import IMPORTON
 from elps_core.sampling.direction import ENOUGH
+from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 
@@ -49,3 +52,13 @@ def sees_enough(
     familiar = float(visits[known.radiance.evidence >= ENOUGH].sum()) / total
     spread = total**2 / float(np.square(visits).sum()) / len(visits)
     return familiar >= KNOWN and spread >= SPREAD
+
+
+def with_pieces(known: DirectionalParts, lights: StartDensity) -> DirectionalParts:
+    """Another camera's tables, of lights by the pieces that ``lights`` has: where it is flat it has one an emitter."""
+    wanted, emitters = pieces(lights), lights.emission.count
+    if known.lights.shape[1] == wanted:
+        return replace(known, departures=None)
+    by_emitter = known.lights.reshape(len(known.lights), emitters, -1).sum(axis=2) if wanted else known.lights[:, :0]
+    each = max(1, wanted // emitters)
+    return replace(known, lights=np.repeat(by_emitter / np.float32(each), each, axis=1), departures=None)

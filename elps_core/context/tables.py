@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -21,7 +20,7 @@ from elps_core.context.pilot_image import PilotImage, regions_in_view
 from elps_core.context.regions import Regions
 from elps_core.context.saved import DENSITY_SIDE, DEPARTURES, SOURCES, Arrays, Doubles, TableState
 from elps_core.context.store import DirectionalParts
-from elps_core.context.surroundings import SHARE, sees_enough
+from elps_core.context.surroundings import SHARE, sees_enough, with_pieces
 from elps_core.context.walks import WalkRecorder
 from elps_core.errors import SceneRejected
 from elps_core.integrators.bdpt import Bdpt
@@ -317,7 +316,7 @@ class TableBuilder:
         key: tuple[int, ...],
     ) -> None:
         if self._made.known:
-            self._made.known = _with_pieces(self._made.known, lights)
+            self._made.known = with_pieces(self._made.known, lights)
         pilot, size, known = self._made.pilot, self.camera.size, self._made.known
         importance, directions, worth = self._made.sources["importance"], finder, None
         if number or known:
@@ -411,16 +410,6 @@ class TableBuilder:
         film = place * mi.Point2f(self.camera.size)
         radiance, wavelengths = bdpt.trace(film, streams, lambda *_: None, light_scale=None, turns=turns)
         self._made.pilot.enter(place, luminance(mi.UnpolarizedSpectrum(radiance), wavelengths))
-
-
-def _with_pieces(known: DirectionalParts, lights: StartDensity) -> DirectionalParts:
-    """Another camera's tables, of lights by the pieces that ``lights`` has: where it is flat it has one an emitter."""
-    wanted, emitters = pieces(lights), lights.emission.count
-    if known.lights.shape[1] == wanted:
-        return replace(known, departures=None)
-    by_emitter = known.lights.reshape(len(known.lights), emitters, -1).sum(axis=2) if wanted else known.lights[:, :0]
-    each = max(1, wanted // emitters)
-    return replace(known, lights=np.repeat(by_emitter / np.float32(each), each, axis=1), departures=None)
 
 
 def _shares(sums: Doubles) -> Doubles:

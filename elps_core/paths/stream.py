@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -39,7 +40,7 @@ def generator(number: mi.UInt32, key: Key) -> mi.PCG32:
     )
 
 
-class Stream:
+class Stream(ABC):
     """Uniform numbers in [0, 1), which walks ask for in a fixed order, a fixed count at each vertex."""
 
     @staticmethod
@@ -47,13 +48,13 @@ class Stream:
         """A stream of ``lanes`` lanes of independent numbers, named by ``key``, such as (seed, chunk, pass)."""
         return ChanceStream(generator(dr.arange(mi.UInt32, lanes), opaque_key(*key)))
 
+    @abstractmethod
     def next_1d(self, *, even: bool = True) -> mi.Float:
         """One number per lane; where they need not be ``even``, a stream may spare the effort to spread them evenly."""
-        raise NotImplementedError
 
+    @abstractmethod
     def next_2d(self, *, even: bool = True) -> mi.Point2f:
         """Two numbers per lane, as :meth:`next_1d`."""
-        raise NotImplementedError
 
     def wavelengths(self, samples: int, turns: int) -> mi.Float:
         """One number for each of ``samples``, ``turns`` for a lane: sample s is of lane s modulo lanes."""
