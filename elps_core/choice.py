@@ -43,6 +43,8 @@ less where it lost (a Cornell box, the maze, the door), and 0.8 to 1.4 where bot
 HOPELESS = 3.0
 """Times as efficient as a candidate the best scout is, where neither that candidate nor what is like it is measured
 again. On the door joined subpaths were 3 times as efficient with tables as without."""
+DECIDED = 2.0
+"""The same, where only plain candidates are left: scouts tell these apart as well as pilots do."""
 SIGMAS = 3.0
 """Standard errors by which a mean may be off."""
 LEAST = 1e-12
@@ -123,14 +125,17 @@ def plain_wins(scouts: Iterable[Pilot]) -> bool:
 def worth_measuring(candidates: list[str], scouts: Iterable[Pilot]) -> list[str]:
     """The candidates among which the best is, as far as the scouts tell; all without any.
 
-    Where training has stopped, plain ones; else those that join subpaths with tables only where it pays without.
+    Where training has stopped, plain ones if several are close; else those that join subpaths with tables only where
+    it pays without.
     """
     said = tuple(scouts)
     known = _known(said)
     best = max((pilot.efficiency for pilot in known), default=0.0)
     near = {pilot.name for pilot in known if HOPELESS * pilot.efficiency >= best}
     if plain_wins(said):
-        return [name for name in candidates if name in near and _is_plain(name)]
+        close = [name for pilot in known if DECIDED * pilot.efficiency >= best and (name := pilot.name) in candidates]
+        plain = [name for name in close if _is_plain(name)]
+        return plain if len(plain) > 1 else []
     without = JOINED if known and "bdpt, plain" not in near else ()
     return [name for name in candidates if name not in without]
 

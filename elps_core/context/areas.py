@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.paths.stream import Stream
 from elps_core.sampling.direction import GuidedDirections
 
@@ -41,7 +42,7 @@ def region_areas(
     far = dr.opaque(mi.Float, 1.01 * radius)
     origin = centre + frame.to_world(mi.Vector3f(disk.x, disk.y, 0.0)) * dr.opaque(mi.Float, radius) - d * far
     counts = dr.zeros(mi.UInt32, count)
-    normals = None if facing is None else mi.Float(np.ascontiguousarray(facing, np.float32).ravel())
+    normals = None if facing is None else on_device(mi.Float, facing)
 
     def body(ray: mi.Ray3f, crossed: mi.UInt32, active: mi.Bool) -> tuple[mi.Ray3f, mi.UInt32, mi.Bool]:
         si = scene.ray_intersect(ray, active)

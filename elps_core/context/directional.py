@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.context.encoding import DirectionalTables
 from elps_core.errors import ContextMismatch
 
@@ -209,8 +210,8 @@ class DirectionalAccumulator:
             halves, regions, rows, columns = arrays["sums"].shape
             result = DirectionalAccumulator(regions, rows, columns)
             # Copied, because Dr.Jit works on an array's own memory.
-            result._sums = [mi.Float(half.astype(np.float32).ravel()) for half in arrays["sums"]]
-            result._squares = mi.Float64(arrays["squares"].astype(np.float64))
+            result._sums = [on_device(mi.Float, half) for half in arrays["sums"]]
+            result._squares = on_device(mi.Float64, arrays["squares"])
             result._exposure = arrays["exposure"].astype(np.float64)
             result.visits = arrays["visits"].astype(np.float64)
             result.evidence = arrays["evidence"].astype(np.float64)
@@ -321,7 +322,7 @@ def _above_horizon(normals: NDArray[np.floating[Any]], grid: EqualAreaMap) -> mi
     index = dr.arange(mi.UInt32, len(normals) * grid.cells)
     cell = index % grid.cells
     middle = grid.direction(cell // grid.columns, cell % grid.columns, mi.Point2f(0.5))
-    normal = dr.gather(mi.Vector3f, mi.Float(normals.astype(np.float32).ravel()), index // grid.cells)
+    normal = dr.gather(mi.Vector3f, on_device(mi.Float, normals), index // grid.cells)
     return dr.clip(0.5 + dr.dot(normal, middle) / (2.0 * HORIZON), 0.0, 1.0)
 
 
@@ -341,7 +342,7 @@ def _drawn_to_groups(
         weight = np.minimum(precision, ENOUGH)
         evidence = np.bincount(parents, weight, int(parents.max()) + 1).astype(np.float64)
         part = weight * _reciprocal(evidence)[parents]
-        group = dr.gather(mi.UInt32, mi.UInt32(parents.astype(np.uint32)), one) * cells + index % cells
+        group = dr.gather(mi.UInt32, on_device(mi.UInt32, parents), one) * cells + index % cells
         groups = dr.zeros(mi.Float, len(evidence) * cells)
         dr.scatter_reduce(dr.ReduceOp.Add, groups, shares * dr.gather(mi.Float, _single(part), one), group)
         dr.eval(groups)
@@ -360,7 +361,7 @@ def _drawn_to_groups(
 
 
 def _single(values: NDArray[np.float64]) -> mi.Float:
-    return mi.Float(values.astype(np.float32))
+    return on_device(mi.Float, values)
 
 
 def _reciprocal(values: NDArray[np.float64]) -> NDArray[np.float64]:

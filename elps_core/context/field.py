@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.context.directional import BELOW_ONE, EqualAreaMap
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.lookup import RegionLookup
@@ -108,8 +109,8 @@ class DirectionalField:
         self.map = EqualAreaMap(rows, columns)
         self._columns = PackedInversion(_decoder(tables), count * rows, columns)
         self._rows = PackedInversion(lambda index: dr.gather(mi.Float, self._columns.total, index), count, rows)
-        self._irradiance = mi.Float(np.array(tables.irradiance))
-        self._evidence = mi.UInt32(np.array(tables.evidence))
+        self._irradiance = on_device(mi.Float, tables.irradiance)
+        self._evidence = on_device(mi.UInt32, tables.evidence)
 
     def sample(self, region: mi.UInt32, u: mi.Point2f, active: mi.Bool | bool = True) -> tuple[mi.Vector3f, mi.Float]:
         """A direction, as a unit vector in world space, and its density per solid angle.
@@ -158,13 +159,13 @@ def _decoder(tables: DirectionalTables) -> Callable[[mi.UInt32], mi.Float]:
     stored = np.ascontiguousarray(tables.values).reshape(-1)
     cells = int(np.prod(tables.shape[1:]))
     if tables.encoding == "float32":
-        values = mi.Float(stored)
+        values = on_device(mi.Float, stored)
         return lambda index: dr.gather(mi.Float, values, index)
     if tables.encoding == "float16":  # The factor is the same for a whole table, and normalised away
-        halves = mi.Float16(stored)
+        halves = on_device(mi.Float16, stored)
         return lambda index: mi.Float(dr.gather(mi.Float16, halves, index))
-    codes = mi.UInt8(stored)
-    step = mi.Float(np.ascontiguousarray(tables.scale[:, 1]))
+    codes = on_device(mi.UInt8, stored)
+    step = on_device(mi.Float, tables.scale[:, 1])
 
     def decode(index: mi.UInt32) -> mi.Float:
         code = mi.Float(dr.gather(mi.UInt8, codes, index))

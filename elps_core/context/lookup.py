@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.context.nearest import PointSet
 from elps_core.context.regions import BINS, SIDE_BITS, Floats, Regions, Table
 
@@ -60,13 +61,11 @@ def table_of(centres: Floats, normals: Floats, alpha: float, low: Floats, high: 
 
 def _nearest(middles: Floats, centres: Floats, normals: Floats, alpha: float) -> NDArray[np.uint16]:
     cells = np.empty((BINS, len(middles)), np.uint16)
-    order = None
+    points = PointSet(middles, np.zeros_like(middles), alpha)
     for bin_ in range(BINS):
-        normal = np.zeros_like(middles)
-        normal[:, bin_ // 2] = 1 - 2 * (bin_ % 2)
-        points = PointSet(middles, normal, alpha, order)
-        order = points.order
-        cells[bin_, order] = points.nearest(centres, normals)[0]
+        normal = np.zeros(3, np.float32)
+        normal[bin_ // 2] = 1 - 2 * (bin_ % 2)
+        cells[bin_, points.order] = points.facing(normal).nearest(centres, normals)[0]
     return cells
 
 
@@ -103,11 +102,11 @@ class RegionLookup:
     def __init__(self, regions: Regions) -> None:
         table = regions.table
         self.count = regions.count
-        self._bricks = mi.UInt32(np.array(table.bricks).ravel())
+        self._bricks = on_device(mi.UInt32, table.bricks)
         # Two regions to a word: kernels have no 16-bit integers.
         pairs = np.zeros(table.cells.size + 1 & ~1, np.uint16)
         pairs[: table.cells.size] = table.cells.ravel()
-        self._pairs = mi.UInt32(pairs.view(np.uint32))
+        self._pairs = on_device(mi.UInt32, pairs.view(np.uint32))
         # Opaque, so that kernels are not compiled anew for another scene.
         self._low = dr.opaque(mi.Point3f, table.low)
         self._scale = dr.opaque(mi.Float, 1.0 / table.brick)

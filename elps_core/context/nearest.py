@@ -10,6 +10,7 @@ as a ball of positions; and with normals of length zero, as the volume will need
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,6 +20,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.context.regions import Floats
 
 FANOUT = 16
@@ -97,25 +99,34 @@ class PointSet:
     """Points that ask, as often as centres move, which centre is nearest.
 
     ``position`` [n, 3] and ``normal`` [n, 3] are finite; ``alpha`` weighs positions against normals.
-    ``order`` [n], where it is known from another set of the same positions, saves sorting them.
     """
 
-    def __init__(self, position: Floats, normal: Floats, alpha: float, order: NDArray[np.int64] | None = None) -> None:
+    def __init__(self, position: Floats, normal: Floats, alpha: float) -> None:
         self.alpha = alpha
-        self.order = _along_curve(position, normal, alpha) if order is None else order
+        self.order = _along_curve(position, normal, alpha)
         """Number, as given, of each point in the order in which :attr:`position` and the answers are."""
         self.position = np.ascontiguousarray(position[self.order])
         self.normal = np.ascontiguousarray(normal[self.order])
         # Bounds are sums and differences of distances, so float32 must not spend its digits on an
         # origin that lies far away.
         self._origin = (self.position.min(axis=0) + self.position.max(axis=0)) / 2
-        points = np.zeros(len(position), np.float32)
-        level = (self.position - self._origin, points, self.normal, points)
-        self._reach = float(np.abs(level[0]).max())
-        self._levels = [_on_device(*level)]
-        while len(level[0]) > COARSEST or len(self._levels) == 1:
-            level = _enclosed(*level)
-            self._levels.insert(0, _on_device(*level))
+        middle = self.position - self._origin
+        self._reach = float(np.abs(middle).max())
+        self._levels = [_points(middle, self.normal)]
+        while dr.width(self._levels[0].radius) > COARSEST or len(self._levels) == 1:
+            self._levels.insert(0, _enclosed(self._levels[0]))
+
+    def facing(self, normal: Floats) -> PointSet:
+        """The same positions in the same order, all with one ``normal`` [3]."""
+        other = copy(self)
+        other.normal = np.broadcast_to(normal.astype(np.float32), self.normal.shape)
+        axis = mi.Vector3f(*normal.tolist())
+        dr.make_opaque(axis)
+        other._levels = [
+            _Balls(level.middle, level.radius, axis, dr.zeros(mi.Float, dr.width(level.radius)))
+            for level in self._levels
+        ]
+        return other
 
     def nearest(self, centres: Floats, normals: Floats) -> tuple[NDArray[np.uint32], Floats]:
         """Index of the nearest centre and distance to it for each point; of equals the first counts.
@@ -124,7 +135,7 @@ class PointSet:
         """
         data = self._centres(centres, normals)
         root = dr.zeros(mi.UInt32, dr.width(self._levels[0].radius))
-        candidates = _Candidates(mi.UInt32([0, len(centres)]), dr.arange(mi.UInt32, len(centres)), root)
+        candidates = _Candidates(on_device(mi.UInt32, [0, len(centres)]), dr.arange(mi.UInt32, len(centres)), root)
         dr.eval(candidates.index)
         for balls, members in pairwise(self._levels):
             candidates = _narrowed(balls, data, candidates)
@@ -136,7 +147,7 @@ class PointSet:
     def distance(self, centres: Floats, normals: Floats, index: NDArray[np.uint32]) -> Floats:
         """Distance (5.16) of each point to the centre that ``index`` [n] names for it."""
         data, points = self._centres(centres, normals), self._levels[-1]
-        return np.array(points.distance(data.at(mi.UInt32(index)), data.alpha))
+        return np.array(points.distance(data.at(on_device(mi.UInt32, index)), data.alpha))
 
     def _centres(self, centres: Floats, normals: Floats) -> _Centres:
         positions = centres - self._origin
@@ -144,7 +155,7 @@ class PointSet:
         padded = (np.pad(part, ((0, 0), (0, 1))).ravel() for part in (positions, normals))
         # Opaque, so that the numbers are data of the kernels and not part of their code.
         numbers = (dr.opaque(mi.Float, number) for number in (self.alpha, ROUNDING * reach))
-        return _Centres(*(mi.Float(part) for part in padded), *numbers)
+        return _Centres(*(on_device(mi.Float, part) for part in padded), *numbers)
 
 
 def _closest(balls: _Balls, centres: _Centres, candidates: _Candidates) -> tuple[mi.Float, mi.UInt32]:
@@ -178,7 +189,7 @@ def _narrowed(balls: _Balls, centres: _Centres, candidates: _Candidates) -> _Can
     ends = np.cumsum(np.array(kept), dtype=np.int64)
     if ends[-1] > MAX_CANDIDATES:
         return candidates
-    start = mi.UInt32(np.concatenate([[0], ends]).astype(np.uint32))
+    start = on_device(mi.UInt32, np.concatenate([[0], ends]))
     result = dr.zeros(mi.UInt32, int(ends[-1]))
 
     def fill(k: mi.UInt32, place: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
@@ -217,17 +228,30 @@ def _along_curve(position: Floats, normal: Floats, alpha: float) -> NDArray[np.i
     return np.argsort(code, kind="stable")
 
 
-def _enclosed(middle: Floats, radius: Floats, normal: Floats, spread: Floats) -> tuple[Any, ...]:
+def _points(position: Floats, normal: Floats) -> _Balls:
+    """Points as balls of no size, around [n, 3] and [n, 3]."""
+    columns = [[on_device(mi.Float, column) for column in rows.T] for rows in (position, normal)]
+    nothing = dr.zeros(mi.Float, len(position))
+    return _Balls(mi.Point3f(*columns[0]), nothing, mi.Vector3f(*columns[1]), nothing)
+
+
+def _enclosed(balls: _Balls) -> _Balls:
     """A ball around every :data:`FANOUT` balls; the last one is filled up with copies of the last."""
-    members = np.minimum(np.arange(-(-len(middle) // FANOUT) * FANOUT), len(middle) - 1).reshape(-1, FANOUT)
+    count = dr.width(balls.radius)
+    member = dr.minimum(dr.arange(mi.UInt32, -(-count // FANOUT) * FANOUT), dr.opaque(mi.UInt32, count - 1))
+    group = dr.arange(mi.UInt32, -(-count // FANOUT) * FANOUT) // FANOUT
 
-    def ball(centres: Floats, radii: Floats) -> tuple[Floats, Floats]:
-        centres, radii = centres[members], radii[members]
-        centre = (centres.min(axis=1) + centres.max(axis=1)) / 2
-        return centre, (np.linalg.norm(centres - centre[:, None], axis=2) + radii).max(axis=1)
+    def around(middles: Any, radii: mi.Float) -> tuple[Any, mi.Float]:
+        kind = type(middles)
+        each, radius = dr.gather(kind, middles, member), dr.gather(mi.Float, radii, member)
+        dr.eval(each, radius)
+        centre = kind(*(0.5 * (_per_ball(dr.ReduceOp.Min, x) + _per_ball(dr.ReduceOp.Max, x)) for x in each))
+        dr.eval(centre)
+        reach = dr.norm(each - dr.gather(kind, centre, group)) + radius
+        return centre, _per_ball(dr.ReduceOp.Max, reach)
 
-    return (*ball(middle, radius), *ball(normal, spread))
+    return _Balls(*around(balls.middle, balls.radius), *around(balls.normal, balls.spread))
 
 
-def _on_device(middle: Floats, radius: Floats, normal: Floats, spread: Floats) -> _Balls:
-    return _Balls(mi.Point3f(middle.T), mi.Float(radius), mi.Vector3f(normal.T), mi.Float(spread))
+def _per_ball(operation: dr.ReduceOp, values: mi.Float) -> mi.Float:
+    return dr.block_reduce(operation, values, FANOUT)

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.context.areas import region_areas
 from elps_core.context.clustering import Clustering, groups_of
 from elps_core.context.directional import DirectionalAccumulator, finish
@@ -345,7 +346,7 @@ class TableBuilder:
         pilot.begin_step()
         recorder = WalkRecorder(bdpt, finder)
         grid = (self.settings.rows, self.settings.columns)
-        direct = mi.Float(self._made.lights.astype(np.float32).ravel())
+        direct = on_device(mi.Float, self._made.lights)
         if not dr.width(direct):
             direct = dr.zeros(mi.Float, max(1, finder.lookup.count * pieces(lights)))
         if pieces(lights):

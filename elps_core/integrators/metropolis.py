@@ -30,6 +30,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.integrators.chains import (
     SLOT_BYTES,
     Chains,
@@ -187,14 +188,14 @@ class Metropolis:
     def _step(self, key: tuple[int, ...], names: Ints, group: Ints, large: float, scales: Scales) -> Step:
         """A step of chains that draw the numbers ``names`` and belong to ``group`` each."""
         lane = dr.arange(mi.UInt32, len(names))
-        chain_group = dr.gather(mi.UInt32, _integers(group), lane)
-        by_group = [mi.Float(scale.astype(np.float32)) for scale in (scales.chain, scales.uniform, scales.offset)]
+        chain_group = dr.gather(mi.UInt32, on_device(mi.UInt32, group), lane)
+        by_group = [on_device(mi.Float, scale) for scale in (scales.chain, scales.uniform, scales.offset)]
         chain, uniform, offset = (dr.gather(mi.Float, table, chain_group) for table in by_group)
-        first, second = (dr.gather(mi.UInt32, _integers(d), chain_group) for d in self.target.dimensions)
+        first, second = (dr.gather(mi.UInt32, on_device(mi.UInt32, d), chain_group) for d in self.target.dimensions)
         step = Step(
             key=opaque_key(*key),
             large=dr.opaque(mi.Float, large),
-            source=dr.gather(mi.UInt32, _integers(names), lane),
+            source=dr.gather(mi.UInt32, on_device(mi.UInt32, names), lane),
             group=chain_group,
             dimensions=(first, second),
             chain_scale=chain,
@@ -234,7 +235,3 @@ def resample(values: Floats, samples: Ints, members: Ints, random: Floats) -> In
 def multiple(number: int, of: int) -> int:
     """The smallest positive multiple of ``of`` that is not below ``number``."""
     return max(1, -(-number // of)) * of
-
-
-def _integers(values: NDArray[Any]) -> mi.UInt32:
-    return mi.UInt32(values.astype(np.uint32))

@@ -29,6 +29,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.particles.joining import Branch, Joined, PathJoiner
 from elps_core.particles.records import IMPORTON, PHOTON, ParticleBuffer, Particles, Worth, everywhere
 from elps_core.particles.subpaths import Reached, Step, StepStore
@@ -59,7 +60,7 @@ class Harvest:
         self.longest = len(p) - 1
         self.first_hits = first_hits
         at_least = np.cumsum(p[::-1])[::-1]
-        self._inv_q = mi.Float((1.0 / at_least).astype(np.float32))
+        self._inv_q = on_device(mi.Float, 1.0 / at_least)
 
     def capacity(self, lanes: int) -> int:
         """Particles at most, in each of a buffer's two ports, of one path for each of ``lanes`` lanes."""
@@ -203,7 +204,7 @@ class BidirectionalSampler:
 
     def run(self, key: tuple[int, ...]) -> Iterator[Particles]:
         """Batches of both kinds; see :class:`elps_core.particles.records.ParticleSampler`."""
-        edges = mi.Float(np.cumsum(self._p).astype(np.float32)[:-1])
+        edges = on_device(mi.Float, np.cumsum(self._p)[:-1])
         for batch in range(self._batches):
             lanes = (batch + 1) * self.paths // self._batches - batch * self.paths // self._batches
             lengths, eye, light = (Stream.of(lanes, *key, batch, part) for part in range(3))

@@ -26,6 +26,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.integrators.metropolis import multiple, resample, shares
 from elps_core.particles.bidirectional import Harvest
 from elps_core.particles.joining import HEAD_NUMBERS, START_NUMBERS, STEP_NUMBERS, Joined, PathJoiner
@@ -149,7 +150,7 @@ class MetropolisSampler:
         b = np.array([part.mean() for part in _by_group(targets, samples)])
 
         random = np.random.default_rng(key_seed(*key, RESAMPLING)).random(self.groups)
-        chosen = mi.UInt32(resample(targets, samples, members, random).astype(np.uint32))
+        chosen = on_device(mi.UInt32, resample(targets, samples, members, random))
         group = np.repeat(np.arange(self.groups), members)
         # A state without light gives way to whatever comes.
         chains.path = replace(path, target=dr.opaque(mi.Float, 0.0, self.chains))
@@ -215,7 +216,7 @@ class MetropolisSampler:
             stream(vectors, generator(source * GENERATORS + (number + 1), opaque), large)
             for number, vectors in enumerate(chains.vectors)
         )
-        length = mi.UInt32((group + SHORTEST).astype(np.uint32))
+        length = on_device(mi.UInt32, group + SHORTEST)
         path = self._joiner.join((eye, light), length, chains.stores, self._row(1 - chains.half))
         dr.eval(path, *(store.data for store in chains.stores))
         return path, decide, (eye, light)
@@ -233,7 +234,7 @@ class MetropolisSampler:
 
 def _by_chain(group: Ints, *values: Doubles) -> list[mi.Float]:
     """For each chain what stands for its group."""
-    found = [mi.Float(value[group].astype(np.float32)) for value in values]
+    found = [on_device(mi.Float, value[group]) for value in values]
     dr.eval(found)
     return found
 

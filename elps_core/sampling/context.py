@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.context.field import DirectionalField
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.store import DirectionalParts
@@ -44,7 +45,7 @@ class PixelWorth:
         self.gain = float(np.clip(CARE / max(noise, 1e-3), *GAINS))
         height, width = pilot.shape
         floor = DARKEST * float(pilot.mean()) or 1.0
-        self._worth = mi.Float(self.gain / np.maximum(np.asarray(pilot, np.float32), floor).ravel())
+        self._worth = on_device(mi.Float, self.gain / np.maximum(pilot, floor))
         self._width = dr.opaque(mi.UInt32, width)
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(size.x), height / int(size.y)])

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.context.field import STEPS, PackedInversion
 from elps_core.errors import ContextMismatch
 from elps_core.sampling.start import Start, StartDensity
@@ -41,7 +42,7 @@ class RegionLights:
             raise ContextMismatch("the context belongs to a scene with other lights: build it again for this scene")
         self.lights = lights
         self._per_emitter = count // lights.emission.count
-        values = mi.Float(np.ascontiguousarray(table, np.float32).ravel())
+        values = on_device(mi.Float, table)
         self._pieces = PackedInversion(lambda index: dr.gather(mi.Float, values, index), regions, count)
         self._share = dr.opaque(mi.Float, SHARE)
 

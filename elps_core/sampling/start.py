@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.sampling.departures import Departures
 from elps_core.sampling.inversion import RESOLUTION, cumulative, drawn, quantized
 from elps_core.scene.emission import Emission, LightPoint
@@ -47,17 +48,17 @@ class StartDensity:
         weights = np.maximum(np.nan_to_num(table.astype(np.float64), nan=0.0, posinf=0.0), 0.0)
         column_steps = quantized(weights.sum(axis=0))
         row_steps = quantized(np.ascontiguousarray(weights.T))  # [columns, rows]
-        self._column_cdf = mi.Float(cumulative(column_steps))
-        self._row_cdf = mi.Float(cumulative(row_steps).ravel())
+        self._column_cdf = on_device(mi.Float, cumulative(column_steps))
+        self._row_cdf = on_device(mi.Float, cumulative(row_steps))
         self.probability = (column_steps[:, None] * row_steps).astype(np.float64) / RESOLUTION**2
         """Chance of each cell, [columns, rows]; sums to one."""
         # Per emitter's own unit square: chance of the cell over the cell's area in that square.
         density = self.probability * (rows * self.per_emitter)
-        self._density = mi.Float(density.astype(np.float32).ravel())
+        self._density = on_device(mi.Float, density)
         by_emitter = density.reshape(emission.count, -1)
         self.flat = bool(np.all(by_emitter.max(axis=1) <= by_emitter.min(axis=1) * (1 + 1e-4)))
         """Whether the density is constant on each emitter, so that F^-1 is not needed."""
-        self._mean = mi.Float((by_emitter.mean(axis=1)).astype(np.float32))
+        self._mean = on_device(mi.Float, by_emitter.mean(axis=1))
         self._departures: Departures | None = None
 
     def departing(self, departures: Departures) -> StartDensity:

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.scene.emitters import (
     ANALYTIC,
     DIRECTIONAL,
@@ -74,13 +75,13 @@ class Emission:
         ids = dr.reinterpret_array(mi.UInt32, self._emitters).numpy()
         order = np.zeros(int(ids.max()) + 1, np.uint32)
         order[ids] = np.arange(self.count, dtype=np.uint32)
-        self._order = mi.UInt32(order)
+        self._order = on_device(mi.UInt32, order)
         self._shapes = mi.ShapePtr([light.shape for light in lights])
-        self._kind = mi.UInt32([light.kind_index for light in lights])
-        self._area = mi.Float([light.area for light in lights])
-        self._to_local = mi.Float(np.concatenate([light.to_local.ravel() for light in lights]).astype(np.float32))
-        self._position = mi.Float(np.concatenate([light.position for light in lights]).astype(np.float32))
-        self._cutoff = mi.Float([light.cos_cutoff for light in lights])
+        self._kind = on_device(mi.UInt32, [light.kind_index for light in lights])
+        self._area = on_device(mi.Float, [light.area for light in lights])
+        self._to_local = on_device(mi.Float, [light.to_local for light in lights])
+        self._position = on_device(mi.Float, [light.position for light in lights])
+        self._cutoff = on_device(mi.Float, [light.cos_cutoff for light in lights])
         self._on_shapes = ShapeLights(lights)
         self._meshes = MeshLights(lights) if "mesh" in self.kinds else None
         sphere = scene.bbox().bounding_sphere()

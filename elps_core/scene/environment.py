@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.sampling.inversion import RESOLUTION, cumulative, interval, quantized
 from elps_core.scene.sky import Grid, grid_of, luminance_at
 
@@ -45,7 +46,7 @@ class Environment:
         self._rows, self._columns = len(grid.t) - 1, len(grid.phi) - 1
         self._x, self._y, self._z = (mi.Vector3f(*map(float, axis)) for axis in grid.axes)
         dr.make_opaque(self._x, self._y, self._z)  # Data, not code: scenes share kernels.
-        self._t, self._phi = mi.Float(grid.t), mi.Float(grid.phi)
+        self._t, self._phi = on_device(mi.Float, grid.t), on_device(mi.Float, grid.phi)
         size = np.diff(grid.t.astype(np.float64))[:, None] * np.diff(grid.phi.astype(np.float64))
         light = self._measure(emitter, time, grid) * size
         self.mean = float(light.sum() / size.sum())
@@ -54,10 +55,10 @@ class Environment:
         if self.mean > 0.0:
             share = (1.0 - UNIFORM_SHARE) * light / light.sum() + UNIFORM_SHARE * share
         rows, columns = quantized(share.sum(axis=1)), quantized(share)
-        self._row_cdf = mi.Float(cumulative(rows))
-        self._column_cdf = mi.Float(cumulative(columns).ravel())
+        self._row_cdf = on_device(mi.Float, cumulative(rows))
+        self._column_cdf = on_device(mi.Float, cumulative(columns))
         density = rows[:, None].astype(np.float64) * columns / RESOLUTION**2 / size
-        self._density = mi.Float(density.astype(np.float32).ravel())
+        self._density = on_device(mi.Float, density)
 
     def sample(self, u: mi.Point2f, active: mi.Bool) -> tuple[mi.Vector3f, mi.Float]:
         """F: the direction at ``u``, and its density per solid angle."""

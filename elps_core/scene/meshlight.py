@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.errors import SceneRejected
 from elps_core.sampling.inversion import RESOLUTION, quantized
 from elps_core.scene.emitters import Light
@@ -57,19 +58,19 @@ class MeshLights:
         self._normals = _floats([mesh.normals for mesh in meshes]) if self.smooth else None
         self._texcoords = _floats([mesh.texcoords for mesh in meshes]) if self._mapped else None
         faces = np.concatenate([mesh.faces + before for mesh, before in zip(meshes, vertex, strict=False)])
-        self._faces = mi.UInt32(faces.astype(np.uint32).ravel())
+        self._faces = on_device(mi.UInt32, faces)
         steps = [mesh.steps() for mesh in meshes]
         self._upper = _floats([np.cumsum(part) / RESOLUTION for part in steps])
         area = np.concatenate([mesh.areas for mesh in meshes])
         chance = np.concatenate(steps) / RESOLUTION
         self._density = _floats([np.divide(chance, area, out=np.zeros(len(area)), where=area > 0)])
         # Of each emitter, mesh or not.
-        self._first = mi.UInt32(face[:-1].astype(np.uint32))
-        self._count = mi.UInt32(np.diff(face).astype(np.uint32))
+        self._first = on_device(mi.UInt32, face[:-1])
+        self._count = on_device(mi.UInt32, np.diff(face))
         self._longest = int(np.diff(face).max())
-        self._sign = mi.Float([mesh.sign for mesh in meshes])
-        self._is_smooth = mi.Bool([mesh.smooth for mesh in meshes])
-        self._is_mapped = mi.Bool([mesh.mapped for mesh in meshes])
+        self._sign = on_device(mi.Float, [mesh.sign for mesh in meshes])
+        self._is_smooth = on_device(mi.Bool, [mesh.smooth for mesh in meshes])
+        self._is_mapped = on_device(mi.Bool, [mesh.mapped for mesh in meshes])
 
     def point(self, index: mi.UInt32, u: mi.Point2f, active: mi.Bool) -> MeshPoint:
         """F on the mesh of emitter ``index``."""
@@ -166,4 +167,4 @@ def _rows(params: Any, name: str, columns: int, count: int) -> NDArray[np.float6
 
 
 def _floats(parts: list[Any]) -> mi.Float:
-    return mi.Float(np.concatenate(parts).astype(np.float32).ravel())
+    return on_device(mi.Float, np.concatenate(parts))

@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from elps_core.arrays import on_device
 from elps_core.scene.emitters import ANALYTIC, KINDS, Light, Matrix
 
 
@@ -31,13 +32,13 @@ class ShapeLights:
         self._kinds = frozenset(light.kind for light in lights)
         blank: Matrix = np.eye(4)
         to_local = [np.vstack([light.to_local, blank[3:]]) if light.kind in ANALYTIC else blank for light in lights]
-        self._to_local = mi.Float(np.concatenate([m[:3].ravel() for m in to_local]).astype(np.float32))
+        self._to_local = on_device(mi.Float, [m[:3] for m in to_local])
         to_world = [np.linalg.inv(matrix)[:3] for matrix in to_local]
-        self._to_world = mi.Float(np.concatenate([m.ravel() for m in to_world]).astype(np.float32))
+        self._to_world = on_device(mi.Float, to_world)
         # Normals turn with the transposed inverse: its rows are the columns of the map to local space.
         turns = [light.sign * matrix[:3, :3].T for light, matrix in zip(lights, to_local, strict=True)]
         rows = np.concatenate([np.hstack([turn, np.zeros((3, 1))]).ravel() for turn in turns])
-        self._normals = mi.Float(rows.astype(np.float32))
+        self._normals = on_device(mi.Float, rows)
 
     def point(self, index: mi.UInt32, kind: mi.UInt32, u: mi.Point2f, active: mi.Bool) -> ShapePoint:
         """F: the point at ``u`` of light ``index``, of the ``kind`` that :data:`KINDS` counts; density 1 / area."""

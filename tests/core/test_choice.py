@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from elps_core.choice import (
     AHEAD,
     CANDIDATES,
+    DECIDED,
     HOPELESS,
     JOINED,
     PILOTS,
@@ -161,11 +162,12 @@ def test_scouts_need_something_to_compare() -> None:
     assert not plain_wins(scouts()[:1])
 
 
-def test_hopeless_plain_candidates_are_not_measured_again() -> None:
+def test_plain_candidates_are_measured_again_where_several_are_close() -> None:
     every = list(CANDIDATES)
-    assert worth_measuring(every, scouts(pp=9.0)) == ["path, plain"]
-    assert worth_measuring(every, scouts(pp=9.0, bp=9.1 / HOPELESS)) == ["path, plain", "bdpt, plain"]
-    assert worth_measuring(every[1:], scouts(pp=9.0, bp=9.1 / HOPELESS)) == ["bdpt, plain"]
+    assert worth_measuring(every, scouts(pp=9.0)) == []
+    assert worth_measuring(every, scouts(pp=9.0, bp=8.9 / DECIDED)) == []
+    assert worth_measuring(every, scouts(pp=9.0, bp=9.1 / DECIDED)) == ["path, plain", "bdpt, plain"]
+    assert worth_measuring(every[1:], scouts(pp=9.0, bp=9.1 / DECIDED)) == []
 
 
 def test_subpaths_are_joined_by_context_where_it_may_pay() -> None:
