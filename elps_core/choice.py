@@ -34,6 +34,13 @@ JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
 """Those that may win where joining subpaths pays, and cost the more where it does not."""
 EYE_PATHS, WITH_CAUSTICS = "path, enlightened", "bdpt, enlightened, unjoined"
 """The same eye paths, alone and with the light paths that can tell of their variance."""
+UNJOINED = "bdpt, unjoined"
+CHAINS = {
+    "bdpt": ("bdpt, plain", "bdpt, enlightened"),
+    "path": ("path, plain", EYE_PATHS),
+    UNJOINED: ("bdpt, plain", WITH_CAUSTICS),
+}
+"""Whose samples chains may walk over, and the candidates, plain and enlightened, that speak for them."""
 SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", WITH_CAUSTICS)
 """Those that are compared early in training already, so that it can stop where tables will not pay."""
 AHEAD = 1.25
@@ -173,7 +180,7 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
 
     ``auto`` takes the candidate of the greatest efficiency. An integrator that is named takes its plain form where
     that was more efficient in pilots than its enlightened one; and chains, if nothing is said, walk over samples of
-    path where these were more efficient than those of bdpt.
+    path, or of bdpt without joins, where these were more efficient than those of bdpt.
 
     Raises:
         ContextMismatch: there is something to choose and there are no pilots.
@@ -187,10 +194,9 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
     efficiency = {pilot.name: pilot.efficiency for pilot in pilots}
     title = settings.integrator
     if title == "pssmlt" and not settings.pssmlt.multiplexed:
-        both = ("bdpt", "path") if settings.pssmlt.over is None else (settings.pssmlt.over,)
-        over = max(both, key=lambda name: max(_of(form, efficiency) for form in _forms(name, BdptSettings())))
-        settings, title = with_overrides(settings, {"pssmlt.over": over}), f"{title} over {over}"
-        plain, enlightened = _forms(over, BdptSettings())
+        over, changes = _chains_over(settings, efficiency)
+        settings, title = with_overrides(settings, changes), f"{title} over {over}"
+        plain, enlightened = CHAINS[over]
     else:
         plain, enlightened = _forms(settings.integrator, settings.bdpt)
     if _of(enlightened, efficiency) >= efficiency.get(plain, 0.0):
@@ -199,6 +205,16 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
     if settings.roulette != "context":
         del changes["roulette"]
     return Choice(with_overrides(settings, changes), f"{title}, plain", pilots)
+
+
+def _chains_over(settings: RenderSettings, efficiency: Mapping[str, float]) -> tuple[str, dict[str, Any]]:
+    """One of :data:`CHAINS`, and the settings that say so."""
+    both = "bdpt" if settings.bdpt.joins else UNJOINED
+    every = tuple(CHAINS) if settings.bdpt.joins else ("path", both)
+    asked = {None: every, "path": ("path",), "bdpt": (both,)}[settings.pssmlt.over]
+    over = max(asked, key=lambda name: max(efficiency.get(form, 0.0) for form in CHAINS[name]))
+    joins = settings.bdpt.joins and over != UNJOINED
+    return over, {"pssmlt.over": "path" if over == "path" else "bdpt", "bdpt.joins": joins}
 
 
 def _forms(integrator: str, bdpt: BdptSettings) -> tuple[str, str]:
