@@ -201,10 +201,10 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
         plain, enlightened = _forms(settings.integrator, settings.bdpt)
     if _of(enlightened, efficiency) >= efficiency.get(plain, 0.0):
         return Choice(settings, f"{title}, enlightened", pilots)
-    changes: dict[str, Any] = {**PLAIN, "context.adaptive": False}
+    plainer: dict[str, Any] = {**PLAIN, "context.adaptive": False}
     if settings.roulette != "context":
-        del changes["roulette"]
-    return Choice(with_overrides(settings, changes), f"{title}, plain", pilots)
+        del plainer["roulette"]
+    return Choice(with_overrides(settings, plainer), f"{title}, plain", pilots)
 
 
 def _chains_over(settings: RenderSettings, efficiency: Mapping[str, float]) -> tuple[str, dict[str, Any]]:
