@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.choice import CANDIDATES, WITH_CAUSTICS, Pilot, candidate
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt
@@ -21,11 +23,11 @@ from elps_core.scene.spectrum import luminance
 from elps_core.settings import ContextSettings, RenderSettings
 from elps_core.timing import KernelClock
 
-BLOCK = 1 << 15
+BLOCK = 1 << 16
 """Samples of a block."""
 POINTS = 16
 """Samples of a set, spread evenly as in renders; each pixel has two sets, whose difference tells of noise alone."""
-LEAST, MOST, SECONDS = 3, 16, 0.25
+LEAST, MOST, SECONDS = 2, 8, 0.25
 """Blocks of a candidate; no more are begun after this time, if nothing else is said."""
 TURNS = 4
 """Samples of a lane, one after the other, as in renders."""
@@ -39,8 +41,33 @@ RIVALS = 1 << 17
 """Light paths that tell of the variance of eye paths."""
 RIVAL = 0xFFFF
 """Keeps their random numbers apart from those of blocks."""
+SINGULAR = 0.5
+"""Part of a variance above which one pair of sets says nothing of it."""
 SUMS = 1 << 10
 """Places that a sum is spread over, so that threads seldom meet."""
+
+
+@dataclass(frozen=True)
+class _Block:
+    by_eye: NDArray[np.float64]
+    """Variance and mean by eye paths [2, pixels], in parts that add up to them."""
+    by_light: tuple[float, float]
+    """The same by light paths that meet the sensor."""
+
+
+def without_singular(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which parts of a variance count: none that is greater than all others together.
+
+    A variance that one event has decided is not known: the same event, met or not met by chance, would speak for or
+    against a candidate. What it has brought counts as not met then, in the mean, too. Light paths tell of what they
+    can bring in place of such an event, see :class:`Pilot`.
+    """
+    kept = np.ones(variance.shape, bool)
+    left = variance.copy()
+    while (most := left.max()) > SINGULAR * left.sum():
+        kept[left == most] = False
+        left[left == most] = 0.0
+    return kept
 
 
 class PilotRunner:
@@ -59,7 +86,7 @@ class PilotRunner:
         pilot = np.asarray(parts.pilot, np.float64)
         # Fixed before any of the samples: a mean of the samples themselves would hide their outliers.
         floored = np.sqrt(np.square(pilot) + (DARK * pilot.mean()) ** 2)
-        self._inverse = mi.Float((1.0 / np.maximum(floored, SMALLEST)).astype(np.float32).ravel())
+        self._inverse = on_device(mi.Float, 1.0 / np.maximum(floored, SMALLEST))
         height, width = pilot.shape
         self._width = dr.opaque(mi.UInt32, width)
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
@@ -70,7 +97,7 @@ class PilotRunner:
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
         key = (self._settings.context.seed, STREAM, list(CANDIDATES).index(name))
-        found: list[tuple[float, float]] = []  # Variance and mean of each block
+        found: list[_Block] = []
         seconds, begin = 0.0, time.perf_counter()
         while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < limit):
             # Of kernels alone: what comes before they run is the same for the many more samples of a chunk.
@@ -81,20 +108,25 @@ class PilotRunner:
                 begin = time.perf_counter()
         rival = self._rival(bdpt, (*key, RIVAL)) if name == WITH_CAUSTICS else 0.0
         count = len(found)
-        (variance, mean), (error, mean_error) = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(count)
+        parts = np.stack([block.by_eye for block in found], axis=1)  # [2, blocks, pixels]
+        parts = parts * without_singular(parts[0])
+        both = parts.sum(axis=2) + np.array([block.by_light for block in found]).T
+        (variance, mean), (error, mean_error) = both.mean(axis=1), both.std(axis=1, ddof=1) / np.sqrt(count)
+        # A few blocks may come out alike by chance; pixels are many.
+        by_pixel = np.sqrt(parts[1].var(axis=1, ddof=1).mean() * parts.shape[2] / count)
         return Pilot(
             name=name,
             variance=float(variance),
             error=float(error),
             mean=float(mean),
-            mean_error=float(mean_error),
+            mean_error=float(max(mean_error, by_pixel)),
             microseconds=1e6 * seconds / (BLOCK * count),
             samples=BLOCK * count,
             rival=rival,
         )
 
-    def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> tuple[float, float]:
-        """Variance and mean of a block's samples, see :class:`Pilot`.
+    def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> _Block:
+        """What a block's samples say of variance and mean, see :class:`Pilot`.
 
         Eye paths come in two sets for a pixel: half the square of their difference. Of light paths
         the sum of squares: what all that meet a pixel bring together is far more than one brings.
@@ -102,7 +134,7 @@ class PilotRunner:
         thinning = bdpt.thinning
         lit = BLOCK // thinning
         squares, sums = dr.zeros(mi.Float, SUMS), dr.zeros(mi.Float, SUMS)
-        variance, mean = 0.0, 0.0
+        by_eye = []
 
         def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
             amount = luminance(mi.UnpolarizedSpectrum(value), wavelengths)
@@ -129,10 +161,10 @@ class PilotRunner:
             found = luminance(mi.UnpolarizedSpectrum(radiance), wavelengths) * self._worth(position)
             relative = np.array(found, np.float64).reshape(POINTS, 2, sets // 2)
             means = np.where(np.isfinite(relative), relative, 0.0).mean(axis=0)
-            variance += 0.5 * POINTS * float(np.square(means[0] - means[1]).mean()) * (count / BLOCK)
-            mean += float(means.mean()) * (count / BLOCK)
+            noise = 0.5 * POINTS * np.square(means[0] - means[1])
+            by_eye.append(np.stack([noise, means.mean(axis=0)]) * (count / BLOCK / len(noise)))
         of_light, by_light = (float(dr.sum(total)[0]) / lit for total in (squares, sums))
-        return variance + thinning * of_light, mean + by_light
+        return _Block(np.concatenate(by_eye, axis=1), (thinning * of_light, by_light))
 
     def _rival(self, bdpt: Bdpt, key: tuple[int, ...]) -> float:
         """Variance of the eye paths of ``bdpt`` without its light paths, by what light paths meet.

@@ -17,6 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from elps_core.arrays import on_device
 from elps_core.integrators.bdpt import Bdpt, Splat
 from elps_core.paths.mis import Side
 from elps_core.paths.stream import Stream
@@ -73,7 +74,7 @@ class Multiplexed:
             START_NUMBERS + step_numbers(bdpt) * (np.maximum(least + choices, 2) - 2),
         )
         self.splats: tuple[int, ...] = ()
-        self._length, self._least, self._choices = mi.UInt32(lengths), mi.UInt32(least), mi.UInt32(choices)
+        self._length, self._least, self._choices = (on_device(mi.UInt32, x) for x in (lengths, least, choices))
 
     def evaluate(
         self,

@@ -97,7 +97,6 @@ CASES = {
         lambda path: write(door(angle=9.0), path),
         (
             *EASY,
-            "enlightened bdpt, 4 eye paths",
             "enlightened bdpt, unjoined",
             "pssmlt",
             "enlightened pssmlt, unjoined",

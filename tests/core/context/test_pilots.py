@@ -82,6 +82,23 @@ def test_training_stops_where_scouts_see_that_tables_do_not_pay(
     assert best in {pilot.name for pilot in pilots}
 
 
+@pytest.mark.parametrize(
+    ("parts", "left"),
+    [
+        ([[1.0, 2.0], [3.0, 1.0]], 7.0),
+        ([[1.0, 2.0], [3.0, 7.0]], 6.0),
+        ([[900.0, 2.0], [80.0, 2.0]], 4.0),
+        ([[0.0, 0.0], [0.0, 0.0]], 0.0),
+        ([[0.0, 5.0], [0.0, 0.0]], 0.0),
+    ],
+)
+def test_one_event_does_not_decide_a_variance(parts: list[list[float]], left: float) -> None:
+    from elps_core.context.pilots import without_singular
+
+    variance = np.array(parts)
+    assert variance[without_singular(variance)].sum() == left
+
+
 @pytest.mark.parametrize("name", CANDIDATES)
 def test_variance_and_mean_are_those_of_renders(box: LoadedScene, name: str) -> None:
     from elps_core.renderer import Renderer
