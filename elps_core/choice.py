@@ -43,10 +43,11 @@ CHAINS = {
 """Whose samples chains may walk over, and the candidates, plain and enlightened, that speak for them."""
 SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", WITH_CAUSTICS)
 """Those that are compared early in training already, so that it can stop where tables will not pay."""
-AHEAD = 1.25
+AHEAD = 1.35
 """How many times as efficient as the best enlightened one a plain one must be then: tables are still to improve.
-With a tenth of the usual paths it was 1.3 to 1.7 where a plain one won in the end (Veach's scene, a staircase), 1.1 or
-less where it lost (a Cornell box, the maze, the door), and 0.8 to 1.4 where both came out alike (a bulb in glass)."""
+With a tenth of the usual paths it was 1.4 to 1.9 on a staircase, where a plain one won in the end, and 2 to 3 in
+Veach's scene; 1.1 to 1.3 in a Cornell box, where it lost, 1.1 or less in the maze and at the door, and 0.8 to 2.8 for a
+bulb in glass."""
 HOPELESS = 3.0
 """Times as efficient as a candidate the best scout is, where neither that candidate nor what is like it is measured
 again. On the door joined subpaths were 3 times as efficient with tables as without."""

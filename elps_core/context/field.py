@@ -155,7 +155,7 @@ class DirectionalField:
 
 
 def _decoder(tables: DirectionalTables) -> Callable[[mi.UInt32], mi.Float]:
-    """The value of a cell, by its index, from the tables as they are stored; mapped files are not copied."""
+    """The value of a cell, by its index, from the tables as they are stored."""
     stored = np.ascontiguousarray(tables.values).reshape(-1)
     cells = int(np.prod(tables.shape[1:]))
     if tables.encoding == "float32":

@@ -122,7 +122,7 @@ CASES = {
         "bdpt",
         pictures=("mi_path", "auto"),
     ),
-    "cornell": Case(lambda path: write(cornell(), path), EASY, "bdpt"),
+    "cornell": Case(lambda path: write(cornell(), path), EASY, "enlightened path"),
 }
 
 
