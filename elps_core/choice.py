@@ -34,13 +34,8 @@ JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
 """Those that may win where joining subpaths pays, and cost the more where it does not."""
 EYE_PATHS, WITH_CAUSTICS = "path, enlightened", "bdpt, enlightened, unjoined"
 """The same eye paths, alone and with the light paths that can tell of their variance."""
-UNJOINED = "bdpt, unjoined"
-CHAINS = {
-    "bdpt": ("bdpt, plain", "bdpt, enlightened"),
-    "path": ("path, plain", EYE_PATHS),
-    UNJOINED: ("bdpt, plain", WITH_CAUSTICS),
-}
-"""Whose samples chains may walk over, and the candidates, plain and enlightened, that speak for them."""
+FORMS = {"bdpt": ("bdpt, plain", "bdpt, enlightened"), "path": ("path, plain", EYE_PATHS)}
+"""Whose samples chains may walk over, and the candidates, plain and enlightened, that speak for each."""
 SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", WITH_CAUSTICS)
 """Those that are compared early in training already, so that it can stop where tables will not pay."""
 AHEAD = 1.35
@@ -139,12 +134,14 @@ def worth_measuring(candidates: list[str], scouts: Iterable[Pilot]) -> list[str]
     said = tuple(scouts)
     known = _known(said)
     best = max((pilot.efficiency for pilot in known), default=0.0)
-    near = {pilot.name for pilot in known if HOPELESS * pilot.efficiency >= best}
+
+    def within(times: float) -> set[str]:
+        return {pilot.name for pilot in known if times * pilot.efficiency >= best}
+
     if plain_wins(said):
-        close = [name for pilot in known if DECIDED * pilot.efficiency >= best and (name := pilot.name) in candidates]
-        plain = [name for name in close if _is_plain(name)]
+        plain = [name for name in candidates if name in within(DECIDED) and _is_plain(name)]
         return plain if len(plain) > 1 else []
-    without = JOINED if known and "bdpt, plain" not in near else ()
+    without = JOINED if known and "bdpt, plain" not in within(HOPELESS) else ()
     return [name for name in candidates if name not in without]
 
 
@@ -181,7 +178,7 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
 
     ``auto`` takes the candidate of the greatest efficiency. An integrator that is named takes its plain form where
     that was more efficient in pilots than its enlightened one; and chains, if nothing is said, walk over samples of
-    path, or of bdpt without joins, where these were more efficient than those of bdpt.
+    path where these were more efficient than those of bdpt.
 
     Raises:
         ContextMismatch: there is something to choose and there are no pilots.
@@ -195,36 +192,28 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
     efficiency = {pilot.name: pilot.efficiency for pilot in pilots}
     title = settings.integrator
     if title == "pssmlt" and not settings.pssmlt.multiplexed:
-        over, changes = _chains_over(settings, efficiency)
-        settings, title = with_overrides(settings, changes), f"{title} over {over}"
-        plain, enlightened = CHAINS[over]
+        # What was left out, because nothing like it was near the best, is no choice.
+        asked = tuple(FORMS) if settings.pssmlt.over is None else (settings.pssmlt.over,)
+        over = max(asked, key=lambda name: max(efficiency.get(form, 0.0) for form in FORMS[name]))
+        settings, title = with_overrides(settings, {"pssmlt.over": over}), f"{title} over {over}"
+        plain, enlightened = FORMS[over]
     else:
         plain, enlightened = _forms(settings.integrator, settings.bdpt)
     if _of(enlightened, efficiency) >= efficiency.get(plain, 0.0):
         return Choice(settings, f"{title}, enlightened", pilots)
-    plainer: dict[str, Any] = {**PLAIN, "context.adaptive": False}
+    changes: dict[str, Any] = {**PLAIN, "context.adaptive": False}
     if settings.roulette != "context":
-        del plainer["roulette"]
-    return Choice(with_overrides(settings, plainer), f"{title}, plain", pilots)
-
-
-def _chains_over(settings: RenderSettings, efficiency: Mapping[str, float]) -> tuple[str, dict[str, Any]]:
-    """One of :data:`CHAINS`, and the settings that say so."""
-    both = "bdpt" if settings.bdpt.joins else UNJOINED
-    every = tuple(CHAINS) if settings.bdpt.joins else ("path", both)
-    asked = {None: every, "path": ("path",), "bdpt": (both,)}[settings.pssmlt.over]
-    over = max(asked, key=lambda name: max(efficiency.get(form, 0.0) for form in CHAINS[name]))
-    joins = settings.bdpt.joins and over != UNJOINED
-    return over, {"pssmlt.over": "path" if over == "path" else "bdpt", "bdpt.joins": joins}
+        del changes["roulette"]
+    return Choice(with_overrides(settings, changes), f"{title}, plain", pilots)
 
 
 def _forms(integrator: str, bdpt: BdptSettings) -> tuple[str, str]:
     """The candidates, plain and enlightened, that speak for an integrator."""
     if integrator == "path":
-        return "path, plain", "path, enlightened"
+        return FORMS["path"]
     if integrator != "bdpt" or (bdpt.joins and bdpt.eye_paths == 1):
-        return "bdpt, plain", "bdpt, enlightened"
-    return "bdpt, plain", "bdpt, enlightened, 4 eye paths" if bdpt.joins else WITH_CAUSTICS
+        return FORMS["bdpt"]
+    return ("bdpt, plain", "bdpt, enlightened, 4 eye paths" if bdpt.joins else WITH_CAUSTICS)
 
 
 def _of(name: str, efficiency: Mapping[str, float]) -> float:

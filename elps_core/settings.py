@@ -176,7 +176,7 @@ class PssmltSettings(_Model):
     over: Literal["bdpt", "path"] | None = None
     """Whose samples the states of chains are: a mutation of a pair of bidirectional paths costs several times one of a
     path, and finds what paths from the sensor alone seldom meet. Absent: of those that pilots found more efficient
-    where there are pilots, ``bdpt`` without joins among them, else of bdpt."""
+    where there are pilots, else of bdpt."""
     multiplexed: bool = False
     """Whether a state is a path by one strategy, five times as fast, in place of all strategies of a pair of paths.
     On Veach's bidirectional scene 13 times as efficient as ``mi_path`` at equal time; without, 64 times."""

@@ -238,8 +238,8 @@ def _points(position: Floats, normal: Floats) -> _Balls:
 def _enclosed(balls: _Balls) -> _Balls:
     """A ball around every :data:`FANOUT` balls; the last one is filled up with copies of the last."""
     count = dr.width(balls.radius)
-    member = dr.minimum(dr.arange(mi.UInt32, -(-count // FANOUT) * FANOUT), dr.opaque(mi.UInt32, count - 1))
-    group = dr.arange(mi.UInt32, -(-count // FANOUT) * FANOUT) // FANOUT
+    place = dr.arange(mi.UInt32, -(-count // FANOUT) * FANOUT)
+    member, group = dr.minimum(place, dr.opaque(mi.UInt32, count - 1)), place // FANOUT
 
     def around(middles: Any, radii: mi.Float) -> tuple[Any, mi.Float]:
         kind = type(middles)

@@ -111,15 +111,16 @@ class PilotRunner:
         parts = np.stack([block.by_eye for block in found], axis=1)  # [2, blocks, pixels]
         parts = parts * without_singular(parts[0])
         both = parts.sum(axis=2) + np.array([block.by_light for block in found]).T
-        (variance, mean), (error, mean_error) = both.mean(axis=1), both.std(axis=1, ddof=1) / np.sqrt(count)
-        # A few blocks may come out alike by chance; pixels are many.
-        by_pixel = np.sqrt(parts[1].var(axis=1, ddof=1).mean() * parts.shape[2] / count)
+        # Errors by blocks, and by pixels: a few blocks may come out alike by chance.
+        by_block = both.std(axis=1, ddof=1) / np.sqrt(count)
+        by_pixel = np.sqrt(parts.var(axis=2, ddof=1).mean(axis=1) * parts.shape[2] / count)
+        (variance, mean), (error, mean_error) = both.mean(axis=1), np.maximum(by_block, by_pixel)
         return Pilot(
             name=name,
             variance=float(variance),
             error=float(error),
             mean=float(mean),
-            mean_error=float(max(mean_error, by_pixel)),
+            mean_error=float(mean_error),
             microseconds=1e6 * seconds / (BLOCK * count),
             samples=BLOCK * count,
             rival=rival,

@@ -99,18 +99,10 @@ def test_chains_walk_over_the_better_samples_if_nothing_is_said(best: str, over:
     assert (choice.settings.direction_sampling == "context") is enlightened
 
 
-def test_chains_walk_over_samples_without_joins_where_these_are_better() -> None:
-    asked = RenderSettings(integrator="pssmlt", **CONTEXT)
-    choice = choose(asked, statistics(beu=2.0))
-    assert choice.name == "pssmlt over bdpt, unjoined, enlightened"
-    assert choice.settings == with_overrides(asked, {"pssmlt.over": "bdpt", "bdpt.joins": False})
-    joined = with_overrides(asked, {"pssmlt.over": "bdpt"})
-    assert choose(joined, statistics(beu=2.0)).settings.bdpt.joins
-    never = with_overrides(asked, {"bdpt.joins": False})
-    for found in (statistics(bp=2.0), statistics(be=2.0)):
-        assert not choose(never, found).settings.bdpt.joins
-    for found in (statistics(bp=2.0), statistics(beu=2.0)):
-        assert choose(with_overrides(never, {"pssmlt.over": "path"}), found).settings.pssmlt.over == "path"
+def test_chains_do_not_walk_over_samples_that_were_left_out() -> None:
+    found = statistics(beu=3.0, pe=2.0)
+    found[PILOTS] = [entry for entry in found[PILOTS] if entry["name"] not in JOINED]
+    assert choose(RenderSettings(integrator="pssmlt", **CONTEXT), found).name == "pssmlt over path, enlightened"
 
 
 def test_chains_walk_over_samples_of_bdpt_without_pilots() -> None:

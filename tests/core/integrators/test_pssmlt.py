@@ -246,12 +246,6 @@ def test_lengths_whose_strategies_are_drawn(mi: Any, monkeypatch: pytest.MonkeyP
     check(images, up_to("area", 3), bound=0.03)
 
 
-def test_chains_walk_over_samples_without_joins(mi: Any) -> None:
-    options = {"bdpt__joins": False, "pssmlt__bootstrap": 4096}
-    images = render(sphere(mi, "area", lens=0.25), "pssmlt", images=16, spp=64, max_depth=3, **options)
-    check(images, up_to("area", 3), bound=0.03)
-
-
 @FORMS
 def test_spectral_light_is_one_wavelength_on_both_sides(multiplexed: bool) -> None:
     mi = device.use("llvm_ad_spectral")
