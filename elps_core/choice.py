@@ -19,24 +19,34 @@ from elps_core.settings import BdptSettings, ContextSettings, PathSettings, Rend
 
 PLAIN = {"direction_sampling": "scattering", "roulette": "albedo"}
 """What an algorithm does without the context's tables."""
+LIT = {"light_sampling": "context", **PLAIN}
+"""What it does with their lights alone: regions know their lamps long before they know directions."""
 ENLIGHTENED = {"direction_sampling": "context", "roulette": "context"}
 """What it does with them."""
+UNJOINED = {"bdpt.eye_paths": 4, "bdpt.joins": False}
+"""Light paths that only bring to the sensor what they meet, one for four eye paths."""
 CANDIDATES: dict[str, dict[str, Any]] = {
     "path, plain": {"integrator": "path", **PLAIN},
     "path, enlightened": {"integrator": "path", **ENLIGHTENED},
     "bdpt, plain": {"integrator": "bdpt", **PLAIN},
     "bdpt, enlightened": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.guided_light": True},
     "bdpt, enlightened, 4 eye paths": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.eye_paths": 4},
-    "bdpt, enlightened, unjoined": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.eye_paths": 4, "bdpt.joins": False},
+    "bdpt, enlightened, unjoined": {"integrator": "bdpt", **ENLIGHTENED, **UNJOINED},
+    "bdpt, lit by context, unjoined": {"integrator": "bdpt", **LIT, **UNJOINED},
 }
 """What pilots compare, and ``auto`` chooses from."""
 JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
 """Those that may win where joining subpaths pays, and cost the more where it does not."""
+LIT_ALONE = "bdpt, lit by context, unjoined"
 EYE_PATHS, WITH_CAUSTICS = "path, enlightened", "bdpt, enlightened, unjoined"
 """The same eye paths, alone and with the light paths that can tell of their variance."""
-FORMS = {"bdpt": ("bdpt, plain", "bdpt, enlightened"), "path": ("path, plain", EYE_PATHS)}
-"""Whose samples chains may walk over, and the candidates, plain and enlightened, that speak for each."""
-SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", WITH_CAUSTICS)
+FORMS = {
+    "bdpt": ("bdpt, plain", "bdpt, enlightened"),
+    "unjoined": ("bdpt, plain", LIT_ALONE, WITH_CAUSTICS),
+    "path": ("path, plain", EYE_PATHS),
+}
+"""Whose samples chains may walk over, and the candidates that speak for each: a plain one first, enlightened last."""
+SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", LIT_ALONE, WITH_CAUSTICS)
 """Those that are compared early in training already, so that it can stop where tables will not pay."""
 AHEAD = 1.35
 """How many times as efficient as the best enlightened one a plain one must be then: tables are still to improve.
@@ -44,10 +54,10 @@ With a tenth of the usual paths it was 1.4 to 1.9 on a staircase, where a plain 
 Veach's scene; 1.1 to 1.3 in a Cornell box, where it lost, 1.1 or less in the maze and at the door, and 0.8 to 2.8 for a
 bulb in glass."""
 HOPELESS = 3.0
-"""Times as efficient as a candidate the best scout is, where neither that candidate nor what is like it is measured
-again. On the door joined subpaths were 3 times as efficient with tables as without."""
+"""Times as efficient as a candidate another is, where neither that candidate nor what is like it is measured again. On
+the door joined subpaths were 3 times as efficient with tables as without."""
 DECIDED = 2.0
-"""The same, where only plain candidates are left: scouts tell these apart as well as pilots do."""
+"""The same, where only unguided candidates are left: scouts tell these apart as well as pilots do."""
 SIGMAS = 3.0
 """Standard errors by which a mean may be off."""
 LEAST = 1e-12
@@ -119,30 +129,40 @@ class Choice:
         return [f"rendered by {self.name} (efficiency in pilots: {shares})"]
 
 
-def plain_wins(scouts: Iterable[Pilot]) -> bool:
-    """Whether training can stop: a plain candidate is so far ahead that tables will not pay."""
-    plain, enlightened = ([p.efficiency for p in _known(scouts) if _is_plain(p.name) is form] for form in (True, False))
-    return max(plain, default=0.0) > AHEAD * max(enlightened, default=float("inf"))
+def unguided_wins(scouts: Iterable[Pilot]) -> bool:
+    """Whether training can stop: one without directions by table is so far ahead that these will not pay."""
+    known = _known(scouts)
+    guided, unguided = ([p.efficiency for p in known if _is_guided(p.name) is form] for form in (True, False))
+    return max(unguided, default=0.0) > AHEAD * max(guided, default=float("inf"))
 
 
-def worth_measuring(candidates: list[str], scouts: Iterable[Pilot]) -> list[str]:
-    """The candidates among which the best is, as far as the scouts tell; all without any.
+def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iterable[Pilot] = ()) -> list[str]:
+    """The candidates among which the best is, as far as is known; all without any scouts.
 
-    Where training has stopped, plain ones if several are close; else those that join subpaths with tables only where
-    it pays without.
+    Where training has stopped, those without directions by table, if several are close. Else the guided ones, but those
+    that join subpaths only where it pays without tables; and after them, once ``pilots`` of all these are known, the
+    others that scouts have not found hopeless against them.
     """
     said = tuple(scouts)
-    known = _known(said)
-    best = max((pilot.efficiency for pilot in known), default=0.0)
+    unguided = tuple(pilot for pilot in _known(said) if not _is_guided(pilot.name))
+    if unguided_wins(said):
+        close = _within(DECIDED, unguided, candidates)
+        return close if len(close) > 1 else []
+    joining = not said or "bdpt, plain" in _within(HOPELESS, _known(said), candidates)
+    guided = [name for name in candidates if _is_guided(name) and (joining or name not in JOINED)]
+    found = {pilot.name for pilot in pilots}
+    others = [name for name in candidates if not _is_guided(name)]
+    if said and found.issuperset(guided):
+        measured = tuple(pilot for pilot in _known(pilots) if pilot.name in guided)
+        others = _within(HOPELESS, (*measured, *unguided), others)
+    return [*guided, *others]
 
-    def within(times: float) -> set[str]:
-        return {pilot.name for pilot in known if times * pilot.efficiency >= best}
 
-    if plain_wins(said):
-        plain = [name for name in candidates if name in within(DECIDED) and _is_plain(name)]
-        return plain if len(plain) > 1 else []
-    without = JOINED if known and "bdpt, plain" not in within(HOPELESS) else ()
-    return [name for name in candidates if name not in without]
+def _within(times: float, pilots: tuple[Pilot, ...], names: list[str]) -> list[str]:
+    """Those of ``names`` that the best of all pilots is not more than some ``times`` as efficient as."""
+    best = max((pilot.efficiency for pilot in pilots), default=0.0)
+    near = {pilot.name for pilot in pilots if times * pilot.efficiency >= best}
+    return [name for name in names if name in near]
 
 
 def _known(pilots: Iterable[Pilot]) -> tuple[Pilot, ...]:
@@ -150,8 +170,8 @@ def _known(pilots: Iterable[Pilot]) -> tuple[Pilot, ...]:
     return tuple(pilot.against(every) for pilot in every)
 
 
-def _is_plain(name: str) -> bool:
-    return PLAIN.items() <= CANDIDATES[name].items()
+def _is_guided(name: str) -> bool:
+    return ENLIGHTENED.items() <= CANDIDATES[name].items()
 
 
 def fit_candidates(summary: SceneSummary, settings: ContextSettings) -> list[str]:
@@ -187,8 +207,8 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
         return Choice(settings, None)
     pilots = _pilots(statistics or {})
     if settings.integrator == "auto":
-        best = max(pilots, key=lambda pilot: pilot.efficiency)
-        return Choice(candidate(settings, best.name), best.name, pilots)
+        name = max(pilots, key=lambda pilot: pilot.efficiency).name
+        return Choice(candidate(settings, name), name, pilots)
     efficiency = {pilot.name: pilot.efficiency for pilot in pilots}
     title = settings.integrator
     if title == "pssmlt" and not settings.pssmlt.multiplexed:
@@ -196,24 +216,28 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
         asked = tuple(FORMS) if settings.pssmlt.over is None else (settings.pssmlt.over,)
         over = max(asked, key=lambda name: max(efficiency.get(form, 0.0) for form in FORMS[name]))
         settings, title = with_overrides(settings, {"pssmlt.over": over}), f"{title} over {over}"
-        plain, enlightened = FORMS[over]
+        forms = FORMS[over]
     else:
-        plain, enlightened = _forms(settings.integrator, settings.bdpt)
-    if _of(enlightened, efficiency) >= efficiency.get(plain, 0.0):
+        forms = _forms(settings.integrator, settings.bdpt)
+    if settings.light_sampling not in ("adjoint", "context"):
+        forms = tuple(form for form in forms if form != LIT_ALONE)
+    best = max(reversed(forms), key=lambda form: _of(form, efficiency))
+    if best == forms[-1]:
         return Choice(settings, f"{title}, enlightened", pilots)
-    changes: dict[str, Any] = {**PLAIN, "context.adaptive": False}
+    changes: dict[str, Any] = {**(LIT if best == LIT_ALONE else PLAIN), "context.adaptive": False}
     if settings.roulette != "context":
         del changes["roulette"]
-    return Choice(with_overrides(settings, changes), f"{title}, plain", pilots)
+    name = "lit by context" if best == LIT_ALONE else "plain"
+    return Choice(with_overrides(settings, changes), f"{title}, {name}", pilots)
 
 
-def _forms(integrator: str, bdpt: BdptSettings) -> tuple[str, str]:
-    """The candidates, plain and enlightened, that speak for an integrator."""
+def _forms(integrator: str, bdpt: BdptSettings) -> tuple[str, ...]:
+    """The candidates that speak for an integrator, from the plain one to the enlightened."""
     if integrator == "path":
         return FORMS["path"]
     if integrator != "bdpt" or (bdpt.joins and bdpt.eye_paths == 1):
         return FORMS["bdpt"]
-    return ("bdpt, plain", "bdpt, enlightened, 4 eye paths" if bdpt.joins else WITH_CAUSTICS)
+    return ("bdpt, plain", "bdpt, enlightened, 4 eye paths") if bdpt.joins else FORMS["unjoined"]
 
 
 def _of(name: str, efficiency: Mapping[str, float]) -> float:

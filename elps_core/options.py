@@ -15,7 +15,7 @@ from elps_core.settings import RenderSettings, StopCriterion, first_problem, wit
 Scene = Annotated[Path, typer.Argument(metavar="SCENE", help="An .xml, a .zip or a folder.")]
 Integrator = Annotated[str | None, typer.Option(help="auto, path, light, bdpt or pssmlt; Mitsuba's own: mi_path ...")]
 Preset = Annotated[str | None, typer.Option(help="enlightened or thesis: values for all that is not given.")]
-LightSampling = Annotated[str | None, typer.Option(help="uniform, power or adjoint.")]
+LightSampling = Annotated[str | None, typer.Option(help="uniform, power, adjoint or context.")]
 DirectionSampling = Annotated[str | None, typer.Option(help="scattering or context.")]
 Roulette = Annotated[str | None, typer.Option(help="throughput, albedo, context or none.")]
 Heuristic = Annotated[str | None, typer.Option(help="power, balance, maximum or cutoff.")]

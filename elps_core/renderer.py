@@ -52,7 +52,7 @@ class Renderer:
                 raise ContextMismatch("the context belongs to another scene: build one for this scene")
             if settings.needs_tables and context.directions is None:
                 raise ContextMismatch("the context has no tables: build one with context.regions of 1 or more")
-        if context is not None and settings.light_sampling == "adjoint":
+        if context is not None and settings.light_sampling in ("adjoint", "context"):
             lights = start_density(context, emission)
         else:
             table = uniform_table(emission) if settings.light_sampling == "uniform" else power_table(emission)

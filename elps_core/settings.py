@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from elps_core.errors import SettingsRejected
 
 Variant = Literal["llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_rgb", "cuda_ad_mono", "cuda_ad_spectral"]
-LightSampling = Literal["uniform", "power", "adjoint"]
+LightSampling = Literal["uniform", "power", "adjoint", "context"]
 DirectionSampling = Literal["scattering", "context"]
 Roulette = Literal["none", "throughput", "albedo", "context"]
 ParticleSource = Literal["walks", "classical", "bidirectional", "metropolis"]
@@ -173,7 +173,7 @@ def _pairs(text: str) -> frozenset[tuple[int, int]]:
 class PssmltSettings(_Model):
     """Metropolis light transport in primary sample space."""
 
-    over: Literal["bdpt", "path"] | None = None
+    over: Literal["bdpt", "unjoined", "path"] | None = None
     """Whose samples the states of chains are: a mutation of a pair of bidirectional paths costs several times one of a
     path, and finds what paths from the sensor alone seldom meet. Absent: of those that pilots found more efficient
     where there are pilots, else of bdpt."""
@@ -189,7 +189,7 @@ class PssmltSettings(_Model):
 
     @model_validator(mode="after")
     def _check(self) -> PssmltSettings:
-        if self.multiplexed and self.over == "path":
+        if self.multiplexed and self.over in ("path", "unjoined"):
             raise ValueError("multiplexed: strategies are those of bdpt: leave pssmlt.over, or pssmlt.multiplexed")
         return self
 
@@ -203,7 +203,9 @@ class RenderSettings(_Model):
     """``path``, ``light``, ``bdpt`` or ``pssmlt``; ``auto`` for the best of path and bdpt, plain and enlightened, by
     pilots; or ``mi_<name>`` for an integrator of Mitsuba's own."""
     light_sampling: LightSampling = "adjoint"
-    """Density of the first light vertex and of next event estimation."""
+    """Density of the first light vertex and of next event estimation. Three are one for the whole scene; ``context``
+    has a table for each region besides the adjoint image, as paths have whose directions go by context, and pays where
+    many lamps shine, most of them elsewhere."""
     direction_sampling: DirectionSampling = "scattering"
     table_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.7
     """Chance of a direction from the context's table, where directions go by context; a half in the thesis [5.3.3]."""
@@ -255,7 +257,7 @@ class RenderSettings(_Model):
                     f"or {VISIBLE[0]},{VISIBLE[1]} for light that is seen directly"
                 )
         if self.needs_tables and self.context.regions == 0:
-            raise ValueError("context.regions: directions and roulette by context need tables: give 1 or more regions")
+            raise ValueError("context.regions: what goes by context needs tables: give 1 or more regions")
         if self.integrator == "auto" and not self.context.adaptive:
             raise ValueError("context.adaptive: 'auto' chooses by pilots: leave it on, or name an integrator")
         if (self.width is None) != (self.height is None):
@@ -278,16 +280,21 @@ class RenderSettings(_Model):
         return (self.samples_lights and self.light_sampling == "adjoint") or self.needs_tables
 
     @property
-    def needs_tables(self) -> bool:
-        """Whether the render samples directions, or ends paths, by the context's tables."""
+    def guided(self) -> bool:
+        """Whether paths go, or end, by what the context's tables say of directions."""
         by_context = "context" in (self.direction_sampling, self.roulette)
         return not self.is_baseline and (by_context or self.integrator == "auto")
+
+    @property
+    def needs_tables(self) -> bool:
+        """Whether the render samples lights or directions, or ends paths, by the context's tables."""
+        return self.guided or (self.samples_lights and self.light_sampling == "context")
 
     @property
     def adaptive(self) -> bool:
         """Whether pilots decide what renders: not where a part of the image was asked for."""
         part = self.integrator == "bdpt" and self.bdpt.strategies != "all"
-        return self.needs_tables and self.context.adaptive and not part
+        return self.guided and self.context.adaptive and not part
 
     @property
     def measured(self) -> ContextSettings:

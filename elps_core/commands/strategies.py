@@ -44,7 +44,7 @@ def strategies(
     max_depth: Annotated[int, typer.Option(help="Longest path in segments: the last row.")] = DEPTH,
     sensor: options.Sensor = None,
     light_sampling: Annotated[
-        str, typer.Option(help="uniform, power or adjoint (measures the scene first).")
+        str, typer.Option(help="uniform, power, adjoint or context (these measure the scene first).")
     ] = "power",
     seed: options.Seed = None,
     variant: options.Variant = None,

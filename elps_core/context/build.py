@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from elps_core.choice import PILOTS, SCOUTS, Pilot, fit_candidates, plain_wins, worth_measuring
+from elps_core.choice import PILOTS, SCOUTS, Pilot, fit_candidates, unguided_wins, worth_measuring
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
 from elps_core.context.pilots import PilotRunner
@@ -69,7 +69,7 @@ class ContextBuilder:
     @property
     def _measured(self) -> list[str]:
         """Candidates of which there are pilots in the end, or will be."""
-        return worth_measuring(self._candidates, self._scouts)
+        return worth_measuring(self._candidates, self._scouts, self._pilots)
 
     def begin_from(self, other: GlobalContext) -> bool:
         """Take over what a context of the same surroundings and settings knows of light; whether it was of use.
@@ -115,7 +115,7 @@ class ContextBuilder:
         parts = tables.result()
         runner = self._runner(parts, lights)
         self._scouts = [runner.run(name, limit=0.0) for name in SCOUTS if name in self._candidates]
-        if plain_wins(self._scouts):
+        if unguided_wins(self._scouts):
             tables.stop()
             self._parts = parts
 
@@ -193,8 +193,9 @@ class ContextBuilder:
             none = np.zeros((0, 7))
             early = [name for name in SCOUTS if name in self._candidates]
             scouts = [_pilot(*entry) for entry in zip(early, record.get("scouts", none), strict=False)]
-            names = worth_measuring(self._candidates, scouts)
-            pilots = [_pilot(*entry) for entry in zip(names, record.get("pilots", none), strict=False)]
+            pilots: list[Pilot] = []
+            for row in record.get("pilots", none):  # Each may decide which one follows
+                pilots.append(_pilot(worth_measuring(self._candidates, scouts, pilots)[len(pilots)], row))
         except (SafetensorError, KeyError, IndexError, TypeError, ValueError):
             raise ContextMismatch(UNFIT) from None
         grid = (self._adjoint.rows, self._adjoint.columns)

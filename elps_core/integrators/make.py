@@ -59,7 +59,8 @@ def paths_of(
     """The paths that ``settings`` ask for; errors as of :func:`frames`."""
     strategies = chosen(settings, aperture=camera.has_aperture)
     region_lights = _region_lights(settings, lights, parts)
-    if parts and parts.departures and strategies.light_paths and settings.direction_sampling == "context":
+    by_context = "context" in (settings.direction_sampling, settings.light_sampling)
+    if parts and parts.departures and strategies.light_paths and by_context:
         lights = lights.departing(Departures(parts.departures, lights.rows * lights.columns))
     return Bdpt(
         scene,
@@ -81,6 +82,8 @@ def _directions(settings: RenderSettings, strategies: Strategies, parts: Directi
         return SCATTERING
     share = settings.table_share if settings.direction_sampling == "context" else 0.0
     guided_light = settings.integrator == "light" or settings.bdpt.guided_light
+    if not settings.guided:
+        return guided(parts, eye=None, light=None)
     return guided(
         parts,
         eye=share if strategies.eye_paths else None,
@@ -91,5 +94,7 @@ def _directions(settings: RenderSettings, strategies: Strategies, parts: Directi
 def _region_lights(
     settings: RenderSettings, lights: StartDensity, parts: DirectionalParts | None
 ) -> RegionLights | None:
-    by_context = settings.direction_sampling == "context" and settings.light_sampling == "adjoint"
+    # Guided paths ask for lights by region, too, unless they are told to ask for all alike.
+    ways = {"context", "adjoint"} if settings.direction_sampling == "context" else {"context"}
+    by_context = settings.light_sampling in ways
     return RegionLights(lights, parts.lights) if parts and by_context and parts.lights.shape[1] else None

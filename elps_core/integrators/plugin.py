@@ -60,6 +60,10 @@ def _integrator_class(name: str) -> Any:
                 )
             except ValidationError as error:
                 raise SettingsRejected(first_problem(error)) from None
+            if self.settings.needs_tables:
+                raise SettingsRejected(
+                    "there is no context here: render with 'elps render', or by 'adjoint' and 'albedo'"
+                )
             self._scene: mi.Scene | None = None
             self._sensor: mi.Sensor | None = None
             self._frames: make.Frames | None = None

@@ -84,6 +84,8 @@ def chosen(settings: RenderSettings, *, aperture: bool) -> Strategies:
         return path(next_event=settings.path.next_event)
     if settings.integrator == "pssmlt" and settings.pssmlt.over == "path":
         return path()
+    if settings.integrator == "pssmlt" and settings.pssmlt.over == "unjoined":
+        return replace(bdpt(aperture=aperture), joins=False)
     if settings.integrator == "light":
         return light(connect=settings.light.connect, aperture=aperture)
     every = bdpt(aperture=aperture)

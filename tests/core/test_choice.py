@@ -11,6 +11,7 @@ from elps_core.choice import (
     AHEAD,
     CANDIDATES,
     DECIDED,
+    ENLIGHTENED,
     HOPELESS,
     JOINED,
     PILOTS,
@@ -20,7 +21,7 @@ from elps_core.choice import (
     candidate,
     choose,
     fit_candidates,
-    plain_wins,
+    unguided_wins,
     worth_measuring,
 )
 from elps_core.errors import ContextMismatch
@@ -78,7 +79,7 @@ def test_a_named_integrator_keeps_its_name(
 ) -> None:
     asked = with_overrides(RenderSettings(integrator=integrator, **CONTEXT), changes)
     names = {"".join(word[0] for word in name.replace(",", "").split()) for name in CANDIDATES}
-    others = dict.fromkeys(names - {plain, enlightened}, 100.0)
+    others = dict.fromkeys(names - {plain, enlightened, "blbcu"}, 100.0) | {"blbcu": 1.0}
     won = choose(asked, statistics(**others, **{enlightened: 2.0}))
     assert (won.settings, won.name) == (asked, f"{integrator}, enlightened")
     lost = choose(asked, statistics(**others, **{plain: 2.0}))
@@ -88,19 +89,40 @@ def test_a_named_integrator_keeps_its_name(
     )
 
 
-@pytest.mark.parametrize(("best", "over"), [("pp", "path"), ("pe", "path"), ("bp", "bdpt"), ("be", "bdpt")])
-@pytest.mark.parametrize("asked", [None, "path", "bdpt"])
+@pytest.mark.parametrize(
+    ("integrator", "changes", "title"),
+    [
+        ("bdpt", {"bdpt.eye_paths": 16, "bdpt.joins": False}, "bdpt"),
+        ("pssmlt", {"pssmlt.over": "unjoined"}, "pssmlt over unjoined"),
+        ("pssmlt", {}, "pssmlt over unjoined"),
+    ],
+)
+def test_lights_by_context_alone_may_be_the_best_form(integrator: str, changes: dict[str, Any], title: str) -> None:
+    asked = with_overrides(RenderSettings(integrator=integrator, **CONTEXT), changes)
+    choice = choose(asked, statistics(blbcu=3.0, beu=2.0))
+    assert choice.name == f"{title}, lit by context"
+    assert (choice.settings.light_sampling, choice.settings.direction_sampling) == ("context", "scattering")
+    assert (choice.settings.roulette, choice.settings.bdpt) == ("albedo", asked.bdpt)
+    other = with_overrides(asked, {"light_sampling": "power", "pssmlt.over": "unjoined"})
+    assert choose(other, statistics(blbcu=3.0, beu=2.0)).name == f"{title}, enlightened"
+
+
+@pytest.mark.parametrize(
+    ("best", "over"), [("pp", "path"), ("pe", "path"), ("bp", "bdpt"), ("be", "bdpt"), ("beu", "unjoined")]
+)
+@pytest.mark.parametrize("asked", [None, "path", "bdpt", "unjoined"])
 def test_chains_walk_over_the_better_samples_if_nothing_is_said(best: str, over: str, asked: str | None) -> None:
     settings = with_overrides(RenderSettings(integrator="pssmlt", **CONTEXT), {"pssmlt.over": asked})
     choice = choose(settings, statistics(**{best: 2.0}))
     assert choice.settings.pssmlt.over == (asked or over)
-    enlightened = best.endswith("e") or choice.settings.pssmlt.over != over  # What is alike is enlightened
+    plain = {"pp": {"path"}, "bp": {"bdpt", "unjoined"}}.get(best, set())
+    enlightened = choice.settings.pssmlt.over not in plain  # What is alike is enlightened
     assert choice.name == f"pssmlt over {asked or over}, {'enlightened' if enlightened else 'plain'}"
     assert (choice.settings.direction_sampling == "context") is enlightened
 
 
 def test_chains_do_not_walk_over_samples_that_were_left_out() -> None:
-    found = statistics(beu=3.0, pe=2.0)
+    found = statistics(pe=2.0)
     found[PILOTS] = [entry for entry in found[PILOTS] if entry["name"] not in JOINED]
     assert choose(RenderSettings(integrator="pssmlt", **CONTEXT), found).name == "pssmlt over path, enlightened"
 
@@ -123,6 +145,7 @@ def test_a_plain_form_keeps_a_roulette_of_its_own() -> None:
         RenderSettings(integrator="mi_path"),
         RenderSettings(integrator="path", context=ContextSettings(adaptive=False), **CONTEXT),
         with_overrides(RenderSettings(**CONTEXT), {"bdpt.strategies": "1,2"}),
+        RenderSettings(integrator="bdpt", light_sampling="context"),
     ],
 )
 def test_nothing_to_choose(settings: RenderSettings) -> None:
@@ -160,12 +183,12 @@ def scouts(**efficiencies: float) -> list[Pilot]:
     ],
 )
 def test_training_stops_where_a_plain_one_is_far_ahead(efficiencies: dict[str, float], wins: bool) -> None:
-    assert plain_wins(scouts(**efficiencies)) is wins
+    assert unguided_wins(scouts(**efficiencies)) is wins
 
 
 def test_scouts_need_something_to_compare() -> None:
-    assert not plain_wins([])
-    assert not plain_wins(scouts()[:1])
+    assert not unguided_wins([])
+    assert not unguided_wins(scouts()[:1])
 
 
 def test_plain_candidates_are_measured_again_where_several_are_close() -> None:
@@ -178,9 +201,26 @@ def test_plain_candidates_are_measured_again_where_several_are_close() -> None:
 
 def test_subpaths_are_joined_by_context_where_it_may_pay() -> None:
     every = list(CANDIDATES)
-    assert worth_measuring(every, []) == every
-    assert worth_measuring(every, scouts(pe=9.0, bp=9.1 / HOPELESS)) == every
-    assert worth_measuring(every, scouts(pe=9.0, bp=8.9 / HOPELESS)) == [n for n in every if n not in JOINED]
+    assert set(worth_measuring(every, [])) == set(every)
+    assert set(worth_measuring(every, scouts(pe=9.0, bp=9.1 / HOPELESS))) == set(every)
+    without = worth_measuring(every, scouts(pe=9.0, bp=8.9 / HOPELESS))
+    assert set(without) == set(every) - set(JOINED)
+
+
+def test_what_tables_have_left_behind_is_not_measured_again() -> None:
+    """Guided candidates come first, so that it is known how good they are when the others' turn comes."""
+    every = list(CANDIDATES)
+    said = scouts(pe=9.0, bp=9.0, pp=9.0 / HOPELESS)
+    guided = [name for name in every if ENLIGHTENED.items() <= CANDIDATES[name].items()]
+    planned = worth_measuring(every, said)
+    assert planned[: len(guided)] == guided
+    pilots = [Pilot(**entry) for entry in statistics(pe=26.0)[PILOTS] if entry["name"] in guided]
+    assert worth_measuring(every, said, pilots[:-1]) == planned
+    assert worth_measuring(every, said, pilots) == [*guided, "bdpt, plain"]
+    more = [*pilots, Pilot(**ENTRY, name="bdpt, plain", variance=1.0)]
+    assert worth_measuring(every, said, more) == [*guided, "bdpt, plain"]
+    far = [Pilot(**entry) for entry in statistics(pe=28.0)[PILOTS] if entry["name"] in guided]
+    assert worth_measuring(every, said, far) == guided
 
 
 def test_what_was_left_out_is_judged_by_what_is_nearest() -> None:

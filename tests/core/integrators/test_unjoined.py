@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
+import numpy as np
 import pytest
 
 from elps_core.settings import HeuristicKind
+from tests import adversaries
 from tests.core.integrators.conftest import Agree
 from tests.core.integrators.test_analytic import IMAGES, check, of_length, sphere
 from tests.rendering import render
@@ -45,5 +47,28 @@ def test_the_image_is_that_of_the_reference(agree: Agree, name: str, more: float
 @pytest.mark.parametrize("name", ["thinlens-wide", "envmap", "area-mesh"])
 def test_no_context_moves_it(agree: Agree, name: str) -> None:
     agreement = agree(name, "bdpt", more=8.0, wrong="random", roulette="albedo", table_share=0.5, **UNJOINED)
+    assert agreement.agrees, agreement
+    assert agreement.detectable < BOUND, agreement
+
+
+LIT: dict[str, Any] = {"direction_sampling": "scattering", "roulette": "albedo", "light_sampling": "context"}
+
+
+def test_lights_by_context_ask_for_others(mi: Any) -> None:
+    """Tables of the lights alone change the samples; those of directions do not enter."""
+    scene = sphere(mi, "area")
+    options: dict[str, Any] = {"images": 1, "spp": 8, "max_depth": DEPTH, **UNJOINED, **LIT}
+    plain = render(scene, "bdpt", **options | {"light_sampling": "adjoint"})
+    lit, again = (
+        render(scene, "bdpt", parts=adversaries.parts(scene, "random"), table_share=share, **options)
+        for share in (0.2, 0.8)
+    )
+    assert np.allclose(lit, again, rtol=1e-4)
+    assert (np.abs(lit - plain) > 1e-3 * plain).mean() > 0.5
+
+
+@pytest.mark.parametrize("name", ["mixed", "area-mesh"])
+def test_no_lights_by_context_move_it(agree: Agree, name: str) -> None:
+    agreement = agree(name, "bdpt", more=8.0, wrong="random", **LIT, **UNJOINED)
     assert agreement.agrees, agreement
     assert agreement.detectable < BOUND, agreement
