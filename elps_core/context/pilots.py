@@ -137,7 +137,13 @@ class PilotRunner:
         squares, sums = dr.zeros(mi.Float, SUMS), dr.zeros(mi.Float, SUMS)
         by_eye = []
 
-        def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
+        def splat(
+            where: mi.Point2f,
+            value: mi.Spectrum,
+            wavelengths: mi.Spectrum,
+            sample: mi.UInt32,  # noqa: ARG001 (all add to one sum)
+            active: mi.Bool,
+        ) -> None:
             amount = luminance(mi.UnpolarizedSpectrum(value), wavelengths)
             relative = amount * self._worth(where)
             place = mi.UInt32(dr.abs(where.x) * SUMS) & (SUMS - 1)
@@ -177,7 +183,13 @@ class PilotRunner:
         lights_alone = bdpt.selecting(replace(bdpt.strategies, rivals=True))
         squares = dr.zeros(mi.Float, SUMS)
 
-        def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
+        def splat(
+            where: mi.Point2f,
+            value: mi.Spectrum,
+            wavelengths: mi.Spectrum,
+            sample: mi.UInt32,  # noqa: ARG001 (all add to one sum)
+            active: mi.Bool,
+        ) -> None:
             relative = luminance(mi.UnpolarizedSpectrum(value), wavelengths) * self._worth(where)
             place = mi.UInt32(dr.abs(where.x) * SUMS) & (SUMS - 1)
             dr.scatter_reduce(dr.ReduceOp.Add, squares, dr.square(relative), place, active & dr.isfinite(relative))

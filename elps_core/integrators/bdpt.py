@@ -30,8 +30,8 @@ from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, PrimaryRay, SensorSample
 from elps_core.settings import HeuristicKind
 
-Splat: TypeAlias = "Callable[[mi.Point2f, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
-"""Adds a light path's contribution at a film position, pixels relative to the crop window."""
+Splat: TypeAlias = "Callable[[mi.Point2f, mi.Spectrum, mi.Spectrum, mi.UInt32, mi.Bool], None]"
+"""Adds the contribution of a sample's light path at a film position, pixels relative to the crop window."""
 Deposit: TypeAlias = "Callable[[mi.UInt32, mi.Spectrum, mi.Spectrum, mi.Bool], None]"
 """Adds a contribution to the adjoint image, at the cell where the light vertex lies."""
 
@@ -338,7 +338,7 @@ class Bdpt:
 
         def arrive(seen: mi.Spectrum, sample: SensorSample, walk: Walk, light: _Light, active: mi.Bool) -> None:
             seen, active = seen * light.weight, active & sample.valid
-            splat(sample.position, seen, walk.ray.wavelengths, active)
+            splat(sample.position, seen, walk.ray.wavelengths, light.sample, active)
             if deposit:
                 deposit(light.cell, seen, walk.ray.wavelengths, active)
 

@@ -52,7 +52,7 @@ class Target(Protocol):
     """Greatest number of splats of a state, for each call of ``splat`` in the code."""
 
     def evaluate(
-        self, streams: tuple[Stream, Stream], group: mi.UInt32, splat: Splat
+        self, streams: tuple[PrimaryStream, PrimaryStream], group: mi.UInt32, splat: Splat
     ) -> tuple[mi.Point2f, mi.Spectrum, mi.Spectrum]:
         """The contributions of one state per lane, in units of the film's mean radiance.
 
@@ -99,7 +99,7 @@ class Sheet:
 class Chains:
     """The current states of all chains."""
 
-    vectors: tuple[mi.UInt32, mi.UInt32]  # Primary samples of the two streams, [dimensions, chains]
+    vectors: tuple[mi.UInt32, mi.UInt32]  # Primary samples of the two streams, [chains, dimensions]
     sheets: list[Sheet]  # One for what the target returns, then one for each call of splat
     half: mi.UInt32  # Which half of the sheets holds the chain's state
     target: mi.Float
@@ -176,19 +176,22 @@ def propose(target: Target, state: Chains, step: Step, weight: PixelWeight = ali
     lanes = dr.width(state.half)
     lane = dr.arange(mi.UInt32, lanes)
     stride = dr.opaque(mi.UInt32, lanes)
-    new = 1 - state.half
+    old, new = state.half, 1 - state.half
     first, *others = state.sheets
     counts = [dr.zeros(mi.UInt32, lanes) for _ in others]
     calls = 0
 
-    def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
+    def splat(
+        where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, chain: mi.UInt32, active: mi.Bool
+    ) -> None:
         # A loop may write to an array from one place only, so that each call has its own.
         nonlocal calls
         sheet, count = others[calls % len(others)], counts[calls % len(others)]
         calls += 1
         active = active & dr.any(value != 0.0)
-        slot = dr.scatter_inc(count, lane, active)
-        sheet.write((new * sheet.slots + slot) * stride + lane, where, value, wavelengths, weight, active)
+        slot = dr.scatter_inc(count, chain, active)
+        half = 1 - dr.gather(mi.UInt32, old, chain, active)
+        sheet.write((half * sheet.slots + slot) * stride + chain, where, value, wavelengths, weight, active)
 
     where, value, wavelengths = target.evaluate((proposals[0], proposals[1]), step.group, splat)
     bright = first.write(new * stride + lane, where, value, wavelengths, weight, mi.Bool(True))

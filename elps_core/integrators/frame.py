@@ -101,7 +101,13 @@ class FrameRenderer:
         corner = mi.Point2f(mi.Float(pixel - row * int(self.size.x)), mi.Float(row))
         position = corner + by_pixel.positions()
 
-        def splat(where: mi.Point2f, value: mi.Spectrum, wavelengths: mi.Spectrum, active: mi.Bool) -> None:
+        def splat(
+            where: mi.Point2f,
+            value: mi.Spectrum,
+            wavelengths: mi.Spectrum,
+            sample: mi.UInt32,  # noqa: ARG001 (all come to one film)
+            active: mi.Bool,
+        ) -> None:
             # Four channels travel as one packet, three would not; most splats are shadowed and stay away.
             rgb = to_rgb(value, wavelengths)
             light.put(where, [*rgb, mi.Float(0.0)], active & dr.any(rgb != 0.0))

@@ -20,7 +20,7 @@ import numpy as np
 from elps_core.arrays import on_device
 from elps_core.integrators.bdpt import Bdpt, Splat
 from elps_core.paths.mis import Side
-from elps_core.paths.stream import Stream
+from elps_core.paths.primary import PrimaryStream
 from elps_core.paths.vertex import Vertex
 from elps_core.paths.walk import Walk, random_walk
 from elps_core.sampling.lights import NOWHERE
@@ -78,7 +78,7 @@ class Multiplexed:
 
     def evaluate(
         self,
-        streams: tuple[Stream, Stream],
+        streams: tuple[PrimaryStream, PrimaryStream],
         group: mi.UInt32,
         splat: Splat,  # noqa: ARG002 (there is one contribution, and it is returned)
     ) -> tuple[mi.Point2f, mi.Spectrum, mi.Spectrum]:

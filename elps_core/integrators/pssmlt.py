@@ -15,15 +15,18 @@ import numpy as np
 
 from elps_core.integrators.bdpt import Bdpt, Splat
 from elps_core.integrators.chains import PixelWeight, Target, alike
-from elps_core.integrators.frame import Frame, FrameRenderer
+from elps_core.integrators.frame import LANES, Frame, FrameRenderer
 from elps_core.integrators.metropolis import Metropolis
 from elps_core.integrators.multiplexed import SHORTEST, START_NUMBERS, Multiplexed, head_numbers, step_numbers
 from elps_core.paths import strategies
-from elps_core.paths.stream import Stream
+from elps_core.paths.primary import PrimaryStream
 from elps_core.settings import PssmltSettings
 
 NEXT_EVENT_NUMBERS = 4
 """Numbers for a point on an emitter, at each eye vertex."""
+FEWER = 4
+"""Times as few lanes as in other passes: there are not as many chains as these have samples, and the last path of each
+lane keeps others waiting."""
 DIRECT_SHARE = 4
 """Mutations for one plain sample of what the sensor sees directly: there is no noise in it but at edges."""
 
@@ -44,13 +47,16 @@ class Samples:
 
     def evaluate(
         self,
-        streams: tuple[Stream, Stream],
+        streams: tuple[PrimaryStream, PrimaryStream],
         group: mi.UInt32,  # noqa: ARG002 (there is one)
         splat: Splat,
     ) -> tuple[mi.Point2f, mi.Spectrum, mi.Spectrum]:
         """The eye path's film position, radiance and wavelengths; what the light path shows is splatted."""
-        position = streams[0].next_2d() * mi.Point2f(self.bdpt.camera.size)
-        radiance, wavelengths = self.bdpt.trace(position, streams, splat)
+        eye, light = streams
+        position = eye.next_2d() * mi.Point2f(self.bdpt.camera.size)
+        eye, light = eye.begin(eye.next_1d() if mi.is_spectral else None), light.begin()
+        turns = max(1, dr.width(position) // (LANES[dr.backend_v(mi.Float)] // FEWER))
+        radiance, wavelengths = self.bdpt.trace(position, (eye, light), splat, turns=turns)
         return position, radiance, wavelengths
 
 

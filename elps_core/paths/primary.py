@@ -12,9 +12,9 @@ at each vertex, so that a coordinate always belongs to the same decision at the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import log
+from typing import cast
 
 import drjit as dr
 import mitsuba as mi
@@ -41,6 +41,24 @@ def moved(coordinate: mi.UInt32, bits: mi.UInt32, large: mi.Bool) -> mi.UInt32:
     return dr.select(large, bits, small)
 
 
+class Vectors:
+    """The states of all chains, and where the streams of their proposals stand when walks begin."""
+
+    def __init__(self, coordinates: mi.UInt32, chains: int) -> None:
+        """``coordinates`` [chains, dimensions], read and not kept: no more than ``dimensions`` may be asked for.
+
+        Chains in a packet are at different places in their paths, but each asks for one number after the other.
+        """
+        self._coordinates = coordinates
+        self._stride = dr.opaque(mi.UInt32, dr.width(coordinates) // chains)
+        self.begun: PrimaryStream | None = None
+        self.u_wavelength: mi.Float | None = None
+
+    def read(self, dimension: mi.UInt32, chain: mi.UInt32) -> mi.UInt32:
+        """Coordinates by dimension."""
+        return dr.gather(mi.UInt32, self._coordinates, chain * self._stride + dimension)
+
+
 @dataclass
 class PrimaryStream(Stream):
     """A stream of random numbers that are a chain's proposal."""
@@ -50,12 +68,12 @@ class PrimaryStream(Stream):
     """Coordinate that comes next."""
     large: mi.Bool
     """Whether the proposal is independent of the chain's state."""
-    read: Callable[[mi.UInt32], mi.UInt32]
-    """Coordinates of the chains' vectors by dimension."""
+    chain: mi.UInt32
+    vectors: Vectors
 
     def next_1d(self, *, even: bool = True) -> mi.Float:  # noqa: ARG002
         """One number per chain."""
-        value = moved(self.read(self.dimension), self.rng.next_uint32(), self.large)
+        value = moved(self.vectors.read(self.dimension, self.chain), self.rng.next_uint32(), self.large)
         self.dimension = self.dimension + 1
         return to_unit(value)
 
@@ -64,38 +82,75 @@ class PrimaryStream(Stream):
         x = self.next_1d()
         return mi.Point2f(x, self.next_1d())
 
+    def begin(self, u_wavelength: mi.Float | None = None) -> PrimaryStream:
+        """This stream of all chains, from which walks of any chain can set out: see :meth:`at`.
 
-def stream(vectors: mi.UInt32, rng: mi.PCG32, large: mi.Bool) -> PrimaryStream:
-    """The proposals of all chains. ``vectors`` [dimensions, chains] holds their states, read and not kept.
+        ``u_wavelength`` is the number that :meth:`wavelengths` is to give.
+        """
+        self.dimension = dr.zeros(mi.UInt32, dr.width(self.chain)) + self.dimension
+        dr.make_opaque(self.rng, self.dimension, self.large)
+        self.vectors.begun, self.vectors.u_wavelength = self, u_wavelength
+        return self
 
-    No more than ``dimensions`` numbers may be taken.
-    """
+    def wavelengths(self, samples: int, turns: int) -> mi.Float:  # noqa: ARG002
+        """The number that each chain has for them."""
+        return self.vectors.u_wavelength
+
+    def at(self, sample: mi.UInt32, active: mi.Bool) -> PrimaryStream:
+        """The numbers of other chains, from where their streams stood when walks began."""
+        begun = self.vectors.begun
+        if begun is None:
+            raise RuntimeError("no walk can begin before the stream of all chains has")
+        rng = mi.PCG32()
+        rng.state = dr.gather(mi.UInt64, begun.rng.state, sample, active)
+        rng.inc = dr.gather(mi.UInt64, begun.rng.inc, sample, active)
+        return PrimaryStream(
+            rng,
+            dr.gather(mi.UInt32, begun.dimension, sample, active),
+            dr.gather(mi.Bool, begun.large, sample, active),
+            sample,
+            self.vectors,
+        )
+
+    def where(self, chosen: mi.Bool, other: Stream) -> PrimaryStream:
+        """``other`` in ``chosen`` lanes, and this stream elsewhere."""
+        there = cast("PrimaryStream", other)
+        rng = mi.PCG32()
+        rng.state = dr.select(chosen, there.rng.state, self.rng.state)
+        rng.inc = dr.select(chosen, there.rng.inc, self.rng.inc)
+        return PrimaryStream(
+            rng,
+            dr.select(chosen, there.dimension, self.dimension),
+            dr.select(chosen, there.large, self.large),
+            dr.select(chosen, there.chain, self.chain),
+            self.vectors,
+        )
+
+
+def stream(coordinates: mi.UInt32, rng: mi.PCG32, large: mi.Bool) -> PrimaryStream:
+    """The proposals of all chains, whose states are ``coordinates``: see :class:`Vectors`."""
     chains = dr.width(large)
-    chain = dr.arange(mi.UInt32, chains)
-    stride = dr.opaque(mi.UInt32, chains)
-
-    def read(dimension: mi.UInt32) -> mi.UInt32:
-        return dr.gather(mi.UInt32, vectors, dimension * stride + chain)
-
-    return PrimaryStream(rng, dr.zeros(mi.UInt32, chains), large, read)
+    vectors = Vectors(coordinates, chains)
+    return PrimaryStream(rng, dr.zeros(mi.UInt32, chains), large, dr.arange(mi.UInt32, chains), vectors)
 
 
 def commit(vectors: mi.UInt32, rng: mi.PCG32, large: mi.Bool, accepted: mi.Bool, dimensions: mi.UInt32) -> None:
-    """Rewrite ``vectors`` in place: the proposals of the accepted chains, in their first ``dimensions`` coordinates.
+    """Rewrite ``vectors`` [chains, dimensions] in place: of accepted chains the first ``dimensions`` coordinates.
 
-    Arguments as those of the :func:`stream` that was evaluated; every coordinate moves, used or not.
+    They become what was proposed, whether a walk has used them or not. Arguments are those of the :func:`stream` that
+    was evaluated.
     """
     proposal = stream(vectors, rng, large)
     chain = dr.arange(mi.UInt32, dr.width(large))
-    stride = dr.opaque(mi.UInt32, dr.width(large))
+    stride = dr.opaque(mi.UInt32, dr.width(vectors) // dr.width(large))
     state, increment = rng.state, rng.inc
 
     def body(state: mi.UInt64, dimension: mi.UInt32) -> tuple[mi.UInt64, mi.UInt32]:
         # The increment never changes: as a part of the loop's state it would cost another copy of the vectors.
         rng = mi.PCG32()
         rng.state, rng.inc = state, increment
-        value = moved(proposal.read(dimension), rng.next_uint32(), large)
-        dr.scatter(vectors, value, dimension * stride + chain)
+        value = moved(proposal.vectors.read(dimension, chain), rng.next_uint32(), large)
+        dr.scatter(vectors, value, chain * stride + dimension)
         return rng.state, dimension + 1
 
     start = (mi.UInt64(state), proposal.dimension)

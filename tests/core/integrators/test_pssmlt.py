@@ -12,7 +12,8 @@ import pytest
 from pydantic import ValidationError
 
 from elps_core import device
-from elps_core.settings import PssmltSettings
+from elps_core.paths.strategies import chosen
+from elps_core.settings import PssmltSettings, RenderSettings
 from tests.agreement import compare
 from tests.core.integrators.conftest import Agree
 from tests.core.integrators.test_analytic import check, sphere, up_to
@@ -20,6 +21,7 @@ from tests.rendering import render
 
 Array = np.ndarray[Any, Any]
 
+OVER = ("bdpt", "unjoined", "path")
 SIDE = 8
 """Side of the film of the toy, in pixels."""
 FORMS = pytest.mark.parametrize("multiplexed", [False, True], ids=["bidirectional", "multiplexed"])
@@ -45,7 +47,8 @@ class Toy:
 
         def body(count: Any) -> Any:
             red = dr.select(bad & (count == 0), dr.nan, 0.5)
-            splat(mi.Point2f(SIDE * across, SIDE * at.y), mi.Color3f(red, 0.5, across), mi.Color0f(), group == 1)
+            where, chain = mi.Point2f(SIDE * across, SIDE * at.y), dr.arange(mi.UInt32, dr.width(group))
+            splat(where, mi.Color3f(red, 0.5, across), mi.Color0f(), chain, group == 1)
             return (count + 1,)
 
         dr.while_loop((dr.zeros(mi.UInt32, dr.width(group)),), lambda count: count < 2, body)
@@ -123,16 +126,30 @@ def test_chains_may_go_where_little_light_is(mi: Any) -> None:
     assert abs(statistics[0]["b"] / mean - 1.0) > 0.5, "the target is another one"
 
 
+@pytest.mark.parametrize(
+    ("over", "lanes"), [("path", 2048), ("path", 128), ("unjoined", 2048), ("unjoined", 128), ("bdpt", 128)]
+)
 @pytest.mark.parametrize("emitter", ["area", "point"])
-def test_states_may_be_eye_paths_alone(mi: Any, emitter: str) -> None:
-    options = {"pssmlt__over": "path", "pssmlt__bootstrap": 4096}
+def test_lanes_may_take_chains_in_turn_and_states_be_fewer_strategies(
+    mi: Any, emitter: str, over: str, lanes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from elps_core.integrators import frame, pssmlt
+
+    monkeypatch.setattr(pssmlt, "FEWER", min(frame.LANES.values()) // lanes)
+    options = {"pssmlt__over": over, "pssmlt__bootstrap": 4096}
     images = render(sphere(mi, emitter, lens=0.25), "pssmlt", images=16, spp=64, max_depth=3, **options)
     check(images, up_to(emitter, 3), bound=0.03)
 
 
-def test_strategies_need_both_paths() -> None:
+def test_each_kind_of_states_has_strategies_of_its_own() -> None:
+    found = [chosen(RenderSettings(integrator="pssmlt", pssmlt={"over": over}), aperture=False) for over in OVER]
+    assert [(each.light_paths, each.joins) for each in found] == [(True, True), (True, False), (False, False)]
+
+
+@pytest.mark.parametrize("over", ["path", "unjoined"])
+def test_multiplexed_strategies_are_all(over: Any) -> None:
     with pytest.raises(ValidationError, match=r"leave pssmlt.over"):
-        PssmltSettings(over="path", multiplexed=True)
+        PssmltSettings(over=over, multiplexed=True)
 
 
 def test_what_is_not_a_number_counts_as_nothing_and_the_rest_stays(mi: Any) -> None:
@@ -193,7 +210,7 @@ def test_as_many_numbers_are_kept_as_are_taken(mi: Any, multiplexed: bool, lens:
     from elps_core.integrators.bdpt import Bdpt
     from elps_core.integrators.multiplexed import Multiplexed
     from elps_core.integrators.pssmlt import Samples
-    from elps_core.paths.primary import PrimaryStream
+    from elps_core.paths.primary import PrimaryStream, Vectors
     from elps_core.paths.roulette import RouletteRule
     from elps_core.paths.stream import generator, opaque_key
     from elps_core.sampling.start import StartDensity, power_table
@@ -214,14 +231,16 @@ def test_as_many_numbers_are_kept_as_are_taken(mi: Any, multiplexed: bool, lens:
             # A loop may write to an array from one place only: each call has its own, made before.
             spare = [dr.opaque(mi.UInt32, 0) for _ in range(300)]
 
-            def read(dimension: Any) -> Any:
-                counter = spare.pop()
-                counters[number].append(counter)
-                dr.scatter_reduce(dr.ReduceOp.Max, counter, dimension + 1, 0)
-                return dr.zeros(mi.UInt32, lanes)
+            class Counting(Vectors):
+                def read(self, dimension: Any, chain: Any) -> Any:
+                    counter = spare.pop()
+                    counters[number].append(counter)
+                    dr.scatter_reduce(dr.ReduceOp.Max, counter, dimension + 1, 0)
+                    return dr.zeros(mi.UInt32, lanes)
 
-            rng = generator(dr.arange(mi.UInt32, lanes) * 2 + number, opaque_key(group))
-            return PrimaryStream(rng, dr.zeros(mi.UInt32, lanes), dr.full(mi.Bool, True, lanes), read)
+            lane = dr.arange(mi.UInt32, lanes)
+            rng, vectors = generator(lane * 2 + number, opaque_key(group)), Counting(dr.zeros(mi.UInt32, lanes), lanes)
+            return PrimaryStream(rng, dr.zeros(mi.UInt32, lanes), dr.full(mi.Bool, True, lanes), lane, vectors)
 
         found = target.evaluate((stream(0), stream(1)), dr.full(mi.UInt32, group, lanes), lambda *_: None)
         dr.eval(found)

@@ -80,16 +80,16 @@ def test_commit_keeps_what_the_stream_showed(mi: Any) -> None:
         return generator(dr.arange(mi.UInt32, chains), opaque_key(6))
 
     proposal = stream(vectors, random(), large)
-    seen = np.stack([np.array(proposal.next_1d()) for _ in range(dimensions)])
+    seen = np.stack([np.array(proposal.next_1d()) for _ in range(dimensions)], axis=1)
     commit(vectors, random(), large, accepted, used)
-    after = np.array(vectors).reshape(dimensions, chains)
-    moved = np.array(accepted) & (np.arange(dimensions)[:, None] < np.array(used))
-    assert np.array_equal(after[~moved], before.reshape(dimensions, chains)[~moved])
-    shown = np.array(to_unit(mi.UInt32(after.ravel()))).reshape(dimensions, chains)
+    after = np.array(vectors).reshape(chains, dimensions)
+    moved = np.array(accepted)[:, None] & (np.arange(dimensions) < np.array(used)[:, None])
+    assert np.array_equal(after[~moved], before.reshape(chains, dimensions)[~moved])
+    shown = np.array(to_unit(mi.UInt32(after.ravel()))).reshape(chains, dimensions)
     assert np.array_equal(shown[moved], seen[moved])
-    small = moved & ~np.array(large)
-    assert distance(after[small], before.reshape(dimensions, chains)[small]).max() < 0.02
-    assert (after != before.reshape(dimensions, chains))[moved].mean() > 0.999
+    small = moved & ~np.array(large)[:, None]
+    assert distance(after[small], before.reshape(chains, dimensions)[small]).max() < 0.02
+    assert (after != before.reshape(chains, dimensions))[moved].mean() > 0.999
 
 
 def test_a_chain_of_small_steps_keeps_its_distribution(mi: Any) -> None:
@@ -100,7 +100,7 @@ def test_a_chain_of_small_steps_keeps_its_distribution(mi: Any) -> None:
     from elps_core.paths.stream import ChanceStream, generator, opaque_key
 
     rng = np.random.default_rng(7)
-    start = np.sqrt(rng.random((2, LANES)))  # The density 2 x by inversion.
+    start = np.sqrt(rng.random((LANES, 2)))  # The density 2 x by inversion.
     vectors = mi.UInt32((start * 2.0**32).astype(np.uint32).ravel())
     chain = dr.arange(mi.UInt32, LANES)
     small = dr.full(mi.Bool, False, LANES)
@@ -109,12 +109,54 @@ def test_a_chain_of_small_steps_keeps_its_distribution(mi: Any) -> None:
         key = opaque_key(8, step)
         proposal = stream(vectors, generator(chain * 2 + 1, key), small)
         new = proposal.next_1d() * proposal.next_1d()
-        old = to_unit(dr.gather(mi.UInt32, vectors, chain)) * to_unit(dr.gather(mi.UInt32, vectors, chain + LANES))
+        old = to_unit(dr.gather(mi.UInt32, vectors, 2 * chain)) * to_unit(dr.gather(mi.UInt32, vectors, 2 * chain + 1))
         accepted = ChanceStream(generator(chain * 2, key)).next_1d() * old < new
         dr.eval(accepted)
         commit(vectors, generator(chain * 2 + 1, key), small, accepted, dr.full(mi.UInt32, 2, LANES))
         dr.eval(vectors)
-    found = np.array(vectors).reshape(2, LANES) / 2.0**32
+    found = np.array(vectors).reshape(LANES, 2).T / 2.0**32
     assert stats.kstest(found[0] ** 2, "uniform").pvalue > 1e-3
     assert stats.kstest(found[1] ** 2, "uniform").pvalue > 1e-3
     assert distance(np.array(vectors), first).mean() > 0.01, "the chains have not moved"
+
+
+def test_walks_of_any_chain_take_its_own_numbers(mi: Any) -> None:
+    """Lanes that take several chains in turn see of each what it would show to a lane of its own."""
+    import drjit as dr
+
+    from elps_core.paths.primary import stream
+    from elps_core.paths.stream import generator, opaque_key
+
+    dimensions, chains, lanes = 5, 12, 4
+    large = mi.Bool(np.random.default_rng(9).random(chains) < 0.5)
+    vectors = mi.UInt32(coordinates(8, dimensions * chains))
+
+    def proposals() -> Any:
+        return stream(vectors, generator(dr.arange(mi.UInt32, chains), opaque_key(6)), large)
+
+    whole = proposals()
+    shown = np.stack([np.array(whole.next_1d()) for _ in range(dimensions)])
+    begun = proposals()
+    assert np.array_equal(np.array(begun.next_2d()), shown[:2])
+    begun = begun.begin(begun.next_1d())
+    assert np.array_equal(np.array(begun.wavelengths(chains, 3)), shown[2])
+    chain = dr.arange(mi.UInt32, lanes)
+    one = begun.at(chain, mi.Bool(True))
+    assert np.array_equal(np.array(one.next_1d()), shown[3][:lanes])
+    renewed = mi.Bool([False, True, True, False])
+    mixed = one.where(renewed, begun.at(chain + 2 * lanes, renewed))
+    expected = np.where(np.array(renewed), shown[3][2 * lanes :], shown[4][:lanes])
+    assert np.array_equal(np.array(mixed.next_1d()), expected)
+
+
+def test_walks_wait_for_the_stream_of_all_chains(mi: Any) -> None:
+    import drjit as dr
+    import pytest
+
+    from elps_core.paths.primary import stream
+    from elps_core.paths.stream import generator, opaque_key
+
+    lane = dr.arange(mi.UInt32, 3)
+    begun = stream(mi.UInt32(coordinates(1, 6)), generator(lane, opaque_key(1)), mi.Bool([True] * 3))
+    with pytest.raises(RuntimeError, match="no walk"):
+        begun.at(lane, mi.Bool(True))
