@@ -174,9 +174,9 @@ class PssmltSettings(_Model):
     """Metropolis light transport in primary sample space."""
 
     over: Literal["bdpt", "unjoined", "path"] | None = None
-    """Whose samples the states of chains are: an eye path, a pair of paths that bdpt would join, or one whose light path
-    only brings to the sensor what it meets. A pair costs more, and finds what eye paths alone seldom meet. Absent: of
-    those that pilots found the most efficient where there are pilots, else of bdpt."""
+    """Whose samples the states of chains are: an eye path, a pair of paths that bdpt would join, or one whose light
+    path only brings to the sensor what it meets. A pair costs more, and finds what eye paths alone seldom meet. Absent:
+    of those that pilots found the most efficient where there are pilots, else of bdpt."""
     multiplexed: bool = False
     """Whether a state is a path by one strategy, five times as fast, in place of all strategies of a pair of paths.
     On Veach's bidirectional scene 13 times as efficient as ``mi_path`` at equal time; without, 64 times."""

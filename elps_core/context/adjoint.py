@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.integrators.bdpt import Bdpt
+from elps_core.integrators.frame import LANES
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
 from elps_core.sampling.start import StartDensity
@@ -24,8 +25,8 @@ STEPS = 8
 """Batches of a measurement: enough to tell noise from signal, few enough to be cheap to launch."""
 EARLY_SHARE = 0.5
 """Share of a batch's light paths that follow power, so that what earlier ones missed is found."""
-LANES = 1 << 16
-"""Paths of one pass of a batch."""
+PATHS = 1 << 16
+"""Of one pass of a batch, at most."""
 ROULETTE = RouletteRule("albedo", 5)
 STREAM = 0xE1B5
 """Sets the measurement's random numbers apart from those of renders with the same seed."""
@@ -74,7 +75,7 @@ class AdjointMeasurement:
         lights = StartDensity(self.emission, guide)
         bdpt = Bdpt(self.scene, self.camera, lights, max_depth=self.settings.max_depth, roulette=ROULETTE)
         wanted = max(1, self.settings.samples_per_cell * self.rows * self.columns // STEPS)
-        passes = -(-wanted // LANES)
+        passes = -(-wanted // PATHS)
         batch = np.zeros((self.rows, self.columns))
         for part in range(passes):
             batch += measure(bdpt, -(-wanted // passes), (self.settings.seed, STREAM, number, part))
@@ -85,16 +86,16 @@ class AdjointMeasurement:
         return shrunk(self.batches, self.emission.count) if len(self.batches) else np.zeros((self.rows, self.columns))
 
 
-def measure(bdpt: Bdpt, lanes: int, key: tuple[int, ...]) -> Table:
-    """One unbiased estimate of the adjoint image [rows, columns] from ``lanes`` eye and light paths.
+def measure(bdpt: Bdpt, paths: int, key: tuple[int, ...]) -> Table:
+    """One unbiased estimate of the adjoint image [rows, columns] from as many eye as light ``paths``.
 
     Every contribution that the paths make to the film's mean luminance is entered where its light
     vertex lies, whatever the strategy; cells sum to the mean luminance of the film.
     """
     lights: StartDensity = bdpt.lights
-    streams = (Stream.of(lanes, *key, 0), Stream.of(lanes, *key, 1))
-    size = bdpt.camera.size
-    position = streams[0].next_2d() * mi.Point2f(mi.Float(size.x), mi.Float(size.y))
+    turns = -(-paths // LANES[dr.backend_v(mi.Float)])
+    streams = (Stream.of(-(-paths // turns), *key, 0), Stream.of(-(-paths // turns), *key, 1))
+    position = Stream.of(paths, *key, 2).next_2d() * mi.Point2f(bdpt.camera.size)
     cells = lights.rows * lights.columns
     light_sums, eye_sums = dr.zeros(mi.Float, cells), dr.zeros(mi.Float, cells)
     target = light_sums
@@ -112,10 +113,10 @@ def measure(bdpt: Bdpt, lanes: int, key: tuple[int, ...]) -> Table:
         nonlocal target
         target = eye_sums
 
-    bdpt.trace(position, streams, splat, deposit, between=switch)
+    bdpt.trace(position, streams, splat, deposit, between=switch, turns=turns)
     dr.eval(light_sums, eye_sums)
     total = np.array(light_sums, np.float64) + np.array(eye_sums, np.float64)
-    return np.asarray(total.reshape(lights.columns, lights.rows).T / lanes)
+    return np.asarray(total.reshape(lights.columns, lights.rows).T / paths)
 
 
 def shrunk(batches: NDArray[np.float64], emitters: int) -> Table:
