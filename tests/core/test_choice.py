@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -184,6 +185,14 @@ def scouts(**efficiencies: float) -> list[Pilot]:
 )
 def test_training_stops_where_a_plain_one_is_far_ahead(efficiencies: dict[str, float], wins: bool) -> None:
     assert unguided_wins(scouts(**efficiencies)) is wins
+
+
+@pytest.mark.parametrize("name", ["path, plain", "path, enlightened"])
+def test_training_goes_on_where_scouts_are_not_sure(name: str) -> None:
+    """The one ahead may be worse than it seems by its error, and the others better."""
+    said = scouts(pp=2.0)
+    assert unguided_wins(said)
+    assert not unguided_wins([replace(pilot, error=pilot.variance * (pilot.name == name)) for pilot in said])
 
 
 def test_scouts_need_something_to_compare() -> None:
