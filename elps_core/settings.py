@@ -105,7 +105,8 @@ class ContextSettings(_Model):
     """Paths that are traced for the tables, of each kind, unless the tables have converged before. Absent: as many as a
     fifth of the render's time allows on two cores, see :func:`suited`."""
     tolerance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05
-    """Relative error of the sums of all regions at which no more paths are traced."""
+    """Relative error of the sums of all regions at which no more paths are traced, and neither where those last traced
+    have won little; 0: all are traced."""
     encoding: TableEncoding = "log8"
     """How a file keeps the tables."""
     adaptive: bool = True

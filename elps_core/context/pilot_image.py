@@ -16,6 +16,11 @@ Doubles = NDArray[np.float64]
 
 SIDE = 96
 """Longer side in pixels."""
+DARK = 0.01
+"""Part of the mean that counts as the value of darker pixels, where variances are relative."""
+CLEAR = 4.0
+"""Relative variance of a path above which steps are not compared by it: where light is so hard to find, a step has more
+of it than the one before because it has found more."""
 LEAST_PATHS = 1e-9
 """Of a pixel, so that one without any is black."""
 NO_REGION = np.iinfo(np.uint16).max
@@ -35,12 +40,12 @@ class PilotImage:
         """Rows and columns."""
         self.sums: Doubles = np.zeros((2, *self.shape))
         """Of luminances, and of paths [2, rows, columns]."""
-        self.newest: Doubles = np.zeros((3, *self.shape))
-        """The same of the last step, and the sum of squares [3, rows, columns]."""
+        self.newest: Doubles = np.zeros((2, 3, *self.shape))
+        """The same and the sum of squares, of the step before the last one and of the last [2, 3, rows, columns]."""
 
     def begin_step(self) -> None:
         """Noise is that of the paths from here on."""
-        self.newest = np.zeros_like(self.newest)
+        self.newest = np.stack([self.newest[1], np.zeros_like(self.newest[1])])
 
     def enter(self, place: mi.Point2f, found: mi.Float) -> None:
         """Add paths through ``place`` in [0, 1)^2 of the film that have found that luminance."""
@@ -54,7 +59,7 @@ class PilotImage:
         dr.eval(sums)
         entered = np.stack([np.array(total, np.float64).reshape(self.shape) for total in sums])
         self.sums += entered[:2]
-        self.newest += entered
+        self.newest[1] += entered
 
     def image(self) -> NDArray[np.float32]:
         """Mean luminance [rows, columns], blurred."""
@@ -63,10 +68,29 @@ class PilotImage:
 
     def noise(self) -> float:
         """Standard deviation of one path of the last step over the value of its pixel, the median of all pixels."""
-        mean, _, squares = self.newest / np.maximum(self.newest[1], 1.0)
+        mean, _, squares = self.newest[1] / np.maximum(self.newest[1, 1], 1.0)
         lit = mean > 0.0
         ratio = np.maximum(squares[lit] / np.square(mean[lit]) - 1.0, 0.0)
         return float(np.sqrt(np.median(ratio))) if lit.any() else 0.0
+
+    def won(self, errors: float) -> float:
+        """Part of a path's variance that the last step had less than the one before; that many standard errors more.
+
+        Of relative variances, averaged over the film. Infinite where nothing is known of either, and where the variance
+        is above :data:`CLEAR`.
+        """
+        image = np.asarray(self.image(), np.float64)
+        floor = np.square(image) + np.square(DARK * image.mean())
+        sums, counts, squares = self.newest.swapaxes(0, 1)
+        known = (counts > 1.0).all(axis=0) & (floor > 0.0)
+        if known.sum() < 2:
+            return float("inf")
+        sums, counts, squares = (part[:, known] for part in (sums, counts, squares))
+        before, now = (squares - np.square(sums) / counts) / ((counts - 1.0) * floor[known])
+        # By pairs of pixels, because these differ more than steps do.
+        less = before - now
+        most = less.mean() + errors * less.std(ddof=1) / np.sqrt(less.size)
+        return float(most / now.mean()) if 0.0 < now.mean() < CLEAR else float("inf")
 
 
 def regions_in_view(scene: mi.Scene, camera: Camera, regions: Regions, shape: tuple[int, int]) -> NDArray[np.uint16]:

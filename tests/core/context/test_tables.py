@@ -269,6 +269,21 @@ def test_tables_that_are_good_enough_are_not_filled_further(box: LoadedScene) ->
     assert result.statistics["table_error"] <= 1.0
 
 
+@pytest.mark.parametrize(("tolerance", "stops"), [(1e-9, True), (0.0, False)])
+def test_steps_that_win_nothing_are_the_last(
+    box: LoadedScene, tolerance: float, stops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from elps_core.context import tables
+
+    monkeypatch.setattr(tables, "WORTHWHILE", 1e9)
+    builder = builder_of(box, tolerance=tolerance, paths=1 << 20)
+    while builder.done < builder.steps:
+        builder.step()
+    # The first two that are compared have roulette both.
+    least = sum(tables.FIRST_PATHS << step for step in range(tables.UNROULETTED + 2))
+    assert builder.result().statistics["table_paths"] == (least if stops else 1 << 20)
+
+
 @pytest.fixture(scope="session")
 def context(box: LoadedScene, state: dict[str, Array]) -> GlobalContext:
     builder = builder_of(box)

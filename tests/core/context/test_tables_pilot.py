@@ -20,8 +20,8 @@ def _variant(mi: Any) -> None:
     """What is tested is a module of kernels."""
 
 
-def entered(mi: Any, seed: int, *, image: Any = None) -> Any:
-    """Paths that find x + 0.5 on the average, all of it in one of five of them; x from 0 to 1 along the rows."""
+def entered(mi: Any, seed: int, *, image: Any = None, on: float = ON) -> Any:
+    """Paths that find x + 0.5 on the average, all of it in a share ``on`` of them; x from 0 to 1 along the rows."""
     import drjit as dr
 
     from elps_core.context.pilot_image import PilotImage
@@ -30,7 +30,7 @@ def entered(mi: Any, seed: int, *, image: Any = None) -> Any:
     pilot = image or PilotImage(mi.ScalarVector2u(SIZE))
     stream = Stream.of(PATHS, 1, seed)
     place = stream.next_2d()
-    pilot.enter(place, dr.select(stream.next_1d() < ON, (place.x + 0.5) / ON, 0.0))
+    pilot.enter(place, dr.select(stream.next_1d() < on, (place.x + 0.5) / on, 0.0))
     return pilot
 
 
@@ -56,6 +56,30 @@ def test_noise_is_that_of_one_path_of_the_last_step(mi: Any) -> None:
     assert pilot.noise() == pytest.approx(expected, rel=0.05)
     assert pilot.sums[1].sum() == 2 * PATHS
     assert pilot.image().mean() == pytest.approx(before, rel=0.02), "a mean, whatever the number of paths"
+
+
+def test_it_tells_what_the_last_step_has_won(mi: Any) -> None:
+    pilot = entered(mi, 1, on=0.5)
+    assert pilot.won(0.0) == float("inf"), "there was no step before"
+    pilot.begin_step()
+    assert pilot.won(0.0) == float("inf"), "it has no paths yet"
+    entered(mi, 2, image=pilot, on=0.5)
+    assert abs(pilot.won(0.0)) < 0.02
+    assert pilot.won(0.0) < pilot.won(2.0) < 0.05
+    pilot.begin_step()
+    entered(mi, 3, image=pilot, on=0.8)
+    assert pilot.won(0.0) == pytest.approx(1.0 / 0.25 - 1.0, rel=0.05)
+    pilot.begin_step()
+    entered(mi, 4, image=pilot, on=0.5)
+    assert pilot.won(0.0) == pytest.approx(0.25 - 1.0, rel=0.05)
+
+
+def test_noisy_steps_are_not_compared(mi: Any) -> None:
+    from elps_core.context.pilot_image import CLEAR
+
+    pilot = entered(mi, 1, on=1.0 / (2.0 + CLEAR))
+    pilot.begin_step()
+    assert entered(mi, 2, image=pilot, on=1.0 / (2.0 + CLEAR)).won(0.0) == float("inf")
 
 
 def test_what_is_no_number_counts_as_nothing(mi: Any) -> None:
