@@ -22,6 +22,7 @@ from tests.benchmarks.equal_time import PLAIN, Duel, equal_time
 
 REPORT = Path("docs/enlightened.md")
 FORCED = ["--direction-sampling", "context", "--roulette", "context", "--set", "context.adaptive=false"]
+LIT = ["--light-sampling", "context", "--set", "context.adaptive=false"]
 WAYS: dict[str, list[str]] = {
     **PLAIN,
     "path": ["--integrator", "path"],
@@ -37,6 +38,12 @@ WAYS: dict[str, list[str]] = {
     ],
     "enlightened pssmlt": ["--integrator", "pssmlt", *FORCED],
     "enlightened pssmlt over path": ["--integrator", "pssmlt", *FORCED, "--set", "pssmlt.over=path"],
+    "enlightened pssmlt, unjoined": ["--integrator", "pssmlt", *FORCED, "--set", "pssmlt.over=unjoined"],
+    "path, lit by context": ["--integrator", "path", *LIT],
+    "bdpt, lit by context, unjoined": [
+        *("--integrator", "bdpt", *LIT, "--set", "bdpt.eye_paths=4"),
+        *("--set", "bdpt.joins=false"),
+    ],
     "thesis bdpt": ["--integrator", "bdpt", "--preset", "thesis"],
     "auto": ["--integrator", "auto"],
 }
@@ -100,6 +107,7 @@ CASES = {
             "pssmlt",
             "enlightened pssmlt",
             "enlightened pssmlt over path",
+            "enlightened pssmlt, unjoined",
             "thesis bdpt",
             CACHED,
         ),
@@ -112,7 +120,17 @@ CASES = {
     ),
     "maze": Case(
         lambda path: write(maze(), path),
-        tuple(dict.fromkeys((*EASY, "enlightened bdpt, unjoined", *FOUR))),
+        tuple(
+            dict.fromkeys(
+                (
+                    *EASY,
+                    "enlightened bdpt, unjoined",
+                    "path, lit by context",
+                    "bdpt, lit by context, unjoined",
+                    *FOUR,
+                )
+            )
+        ),
         pictures=FOUR,
     ),
     "bulb in glass": Case(
