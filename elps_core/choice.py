@@ -155,10 +155,10 @@ def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iter
         return close if len(close) > 1 else []
     joining = not said or "bdpt, plain" in _within(HOPELESS, _known(said), candidates)
     guided = [name for name in candidates if _is_guided(name) and (joining or name not in JOINED)]
-    found = {pilot.name for pilot in pilots}
     others = [name for name in candidates if not _is_guided(name)]
-    if said and found.issuperset(guided):
-        measured = tuple(pilot for pilot in _known(pilots) if pilot.name in guided)
+    # By the guided ones alone, so that the list stays as it is while the others are measured.
+    measured = _known(pilot for pilot in pilots if pilot.name in guided)
+    if said and len(measured) == len(guided):
         others = _within(HOPELESS, (*measured, *unguided), others)
     return [*guided, *others]
 

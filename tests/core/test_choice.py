@@ -226,7 +226,7 @@ def test_what_tables_have_left_behind_is_not_measured_again() -> None:
     pilots = [Pilot(**entry) for entry in statistics(pe=26.0)[PILOTS] if entry["name"] in guided]
     assert worth_measuring(every, said, pilots[:-1]) == planned
     assert worth_measuring(every, said, pilots) == [*guided, "bdpt, plain"]
-    more = [*pilots, Pilot(**ENTRY, name="bdpt, plain", variance=1.0)]
+    more = [*pilots, Pilot(**ENTRY | {"name": "bdpt, plain", "variance": 1.0, "mean": 50.0})]
     assert worth_measuring(every, said, more) == [*guided, "bdpt, plain"]
     far = [Pilot(**entry) for entry in statistics(pe=28.0)[PILOTS] if entry["name"] in guided]
     assert worth_measuring(every, said, far) == guided
