@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
-from math import isfinite
+from math import hypot, isfinite
 from typing import Any
 
 from elps_core.errors import ContextMismatch, SettingsRejected
@@ -58,6 +58,8 @@ HOPELESS = 3.0
 the door joined subpaths were 3 times as efficient with tables as without."""
 DECIDED = 2.0
 """The same, where only unguided candidates are left: scouts tell these apart as well as pilots do."""
+ALIKE = 0.01
+"""Relative error that nobody knows a variance better than."""
 SIGMAS = 3.0
 """Standard errors by which a mean may be off."""
 LEAST = 1e-12
@@ -135,7 +137,8 @@ class Choice:
 
 def unguided_wins(scouts: Iterable[Pilot]) -> bool:
     """Whether training can stop: one without directions by table is so far ahead that these will not pay."""
-    known = _known(scouts)
+    # Rivals are too uncertain so early, and of unguided paths nothing is known of the kind.
+    known = _known(replace(pilot, rival=0.0) for pilot in scouts)
     guided = [pilot.off_by(-1.0).efficiency for pilot in known if _is_guided(pilot.name)]
     unguided = [pilot.off_by(1.0).efficiency for pilot in known if not _is_guided(pilot.name)]
     return max(unguided, default=0.0) > AHEAD * max(guided, default=float("inf"))
@@ -149,18 +152,48 @@ def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iter
     others that scouts have not found hopeless against them.
     """
     said = tuple(scouts)
-    unguided = tuple(pilot for pilot in _known(said) if not _is_guided(pilot.name))
     if unguided_wins(said):
-        close = _within(DECIDED, unguided, candidates)
+        close = _within(DECIDED, tuple(pilot for pilot in _known(said) if not _is_guided(pilot.name)), candidates)
         return close if len(close) > 1 else []
     joining = not said or "bdpt, plain" in _within(HOPELESS, _known(said), candidates)
     guided = [name for name in candidates if _is_guided(name) and (joining or name not in JOINED)]
     others = [name for name in candidates if not _is_guided(name)]
     # By the guided ones alone, so that the list stays as it is while the others are measured.
-    measured = _known(pilot for pilot in pilots if pilot.name in guided)
+    measured = [pilot for pilot in pilots if pilot.name in guided]
     if said and len(measured) == len(guided):
-        others = _within(HOPELESS, (*measured, *unguided), others)
+        others = _within(HOPELESS, _known(together(said, measured)), others)
     return [*guided, *others]
+
+
+def together(scouts: Iterable[Pilot], pilots: Iterable[Pilot]) -> tuple[Pilot, ...]:
+    """What is known of every candidate: by its pilot, its scout, or by both.
+
+    Both are relative to an image of the tables' paths, and that of the scouts was darker where little light had been
+    found. By how much follows from the candidate that both know best. A scout may lower a pilot's variance, because
+    tables have only become better since and one rare event must not decide, and may raise it where there are no tables.
+    Scouts do not testify to light that pilots have not met: what they said of each other is part of their variance.
+    """
+    said, measured = tuple(scouts), tuple(pilots)
+    again = {pilot.name: pilot for pilot in measured}
+    twice = [(pilot, again[pilot.name]) for pilot in said if pilot.name in again and pilot.mean > 0.0]
+    if not twice:
+        return (*measured, *(pilot for pilot in _known(said) if pilot.name not in again))
+    before, after = min(twice, key=lambda pair: pair[0].mean_error / pair[0].mean)
+    scale, level = (after.mean / before.mean) ** 2, (after.mean, after.mean_error)
+    early = {p.name: replace(p, variance=scale * p.variance, error=scale * p.error) for p in said}
+    known = {p.name: replace(p, variance=scale * p.variance, error=scale * p.error) for p in _known(said)}
+    left = [replace(p, mean=level[0], mean_error=level[1]) for name, p in known.items() if name not in again]
+    return (*(_averaged(pilot, early.get(pilot.name)) for pilot in measured), *left)
+
+
+def _averaged(pilot: Pilot, scout: Pilot | None) -> Pilot:
+    """The variance of both, by how well each knows it."""
+    if scout is None or (_is_guided(pilot.name) and scout.variance >= pilot.variance):
+        return pilot
+    least = LEAST + ALIKE * pilot.variance
+    weight = max(pilot.error, least) ** 2 / (max(pilot.error, least) ** 2 + max(scout.error, least) ** 2)
+    variance = pilot.variance + weight * (scout.variance - pilot.variance)
+    return replace(pilot, variance=variance, error=hypot((1.0 - weight) * pilot.error, weight * scout.error))
 
 
 def _within(times: float, pilots: tuple[Pilot, ...], names: list[str]) -> list[str]:

@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from elps_core.choice import PILOTS, SCOUTS, Pilot, fit_candidates, unguided_wins, worth_measuring
+from elps_core.choice import PILOTS, SCOUTS, Pilot, fit_candidates, together, unguided_wins, worth_measuring
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
 from elps_core.context.pilots import PilotRunner
@@ -114,7 +114,7 @@ class ContextBuilder:
         """Compare a few candidates by the tables so far; no more steps for these where a plain one is far ahead."""
         parts = tables.result()
         runner = self._runner(parts, lights)
-        self._scouts = [runner.run(name, limit=0.0) for name in SCOUTS if name in self._candidates]
+        self._scouts = [runner.run(name, scout=True) for name in SCOUTS if name in self._candidates]
         if unguided_wins(self._scouts):
             tables.stop()
             self._parts = parts
@@ -152,10 +152,7 @@ class ContextBuilder:
                 "median_records": float(np.median(parts.radiance.evidence)),
             }
         if self._candidates:
-            # Of candidates that were not measured again all is known that scouts have said.
-            again = {pilot.name for pilot in self._pilots}
-            kept = [pilot for pilot in self._scouts if pilot.name not in again]
-            statistics[PILOTS] = [asdict(pilot) for pilot in (*self._pilots, *kept)]
+            statistics[PILOTS] = [asdict(pilot) for pilot in together(self._scouts, self._pilots)]
         self._seconds += time.perf_counter() - begin
         statistics = {"seconds": round(self._seconds, 3), **statistics}
         return GlobalContext(

@@ -92,11 +92,12 @@ class PilotRunner:
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(camera.size.x), height / int(camera.size.y)])
 
-    def run(self, name: str, limit: float = SECONDS) -> Pilot:
-        """Measure the candidate ``name``; no block but the least is begun after ``limit`` seconds."""
+    def run(self, name: str, *, scout: bool = False) -> Pilot:
+        """Measure the candidate ``name``, by samples of their own and the least number if it is a ``scout``."""
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
-        key = (self._settings.context.seed, STREAM, list(CANDIDATES).index(name))
+        key = (self._settings.context.seed, STREAM, list(CANDIDATES).index(name), int(scout))
+        limit = 0.0 if scout else SECONDS
         found: list[_Block] = []
         seconds, begin = 0.0, time.perf_counter()
         while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < limit):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import pytest
@@ -22,6 +22,7 @@ from elps_core.choice import (
     candidate,
     choose,
     fit_candidates,
+    together,
     unguided_wins,
     worth_measuring,
 )
@@ -195,6 +196,13 @@ def test_training_goes_on_where_scouts_are_not_sure(name: str) -> None:
     assert not unguided_wins([replace(pilot, error=pilot.variance * (pilot.name == name)) for pilot in said])
 
 
+def test_rivals_do_not_stop_training() -> None:
+    told = "bdpt, enlightened, unjoined"
+    said = [replace(pilot, rival=1e9 * (pilot.name == told)) for pilot in scouts(pp=1.5, pe=2.0)]
+    assert not unguided_wins(said)
+    assert unguided_wins([pilot for pilot in said if pilot.name != "path, enlightened"])
+
+
 def test_scouts_need_something_to_compare() -> None:
     assert not unguided_wins([])
     assert not unguided_wins(scouts()[:1])
@@ -230,6 +238,50 @@ def test_what_tables_have_left_behind_is_not_measured_again() -> None:
     assert worth_measuring(every, said, more) == [*guided, "bdpt, plain"]
     far = [Pilot(**entry) for entry in statistics(pe=28.0)[PILOTS] if entry["name"] in guided]
     assert worth_measuring(every, said, far) == guided
+
+
+def is_guided(name: str) -> bool:
+    return ENLIGHTENED.items() <= CANDIDATES[name].items()
+
+
+def test_scouts_speak_in_terms_of_pilots() -> None:
+    """Relative to an image that was too dark they had greater means and variances, and knew them worse."""
+    said = [replace(pilot, mean=1.25, mean_error=0.01) for pilot in scouts(pp=1.0, bp=2.0)]
+    pilots = [replace(pilot, mean=1.0, mean_error=0.02) for pilot in scouts(pe=50.0, beu=40.0)]
+    guided = [pilot for pilot in pilots if is_guided(pilot.name)]
+    every = together(said, guided)
+    assert every[: len(guided)] == tuple(guided)
+    assert {pilot.name for pilot in every} == {pilot.name for pilot in pilots}
+    efficiency = {pilot.name: pilot.efficiency for pilot in every}
+    assert efficiency["path, plain"] == pytest.approx(1.25**2)
+    assert efficiency["bdpt, plain"] == pytest.approx(2.0 * 1.25**2)
+    # Means of another image are no light that guided paths have missed.
+    choice = choose(AUTO, {PILOTS: [asdict(pilot) for pilot in every]})
+    assert choice.name == "path, enlightened"
+    assert {p.name: p.efficiency for p in choice.pilots}["path, enlightened"] == pytest.approx(50.0)
+
+
+def test_what_scouts_knew_to_be_missing_stays_missed() -> None:
+    said = [replace(p, mean=0.5 if p.name == "path, plain" else 1.0, samples=1 << 20) for p in scouts(pp=9.0)]
+    for guided in ([pilot for pilot in said if is_guided(pilot.name)], []):
+        assert {p.name: p.efficiency for p in together(said, guided)}["path, plain"] < 5.0
+
+
+@pytest.mark.parametrize(
+    ("name", "scout", "expected"),
+    [
+        ("path, enlightened", 1.0, 1.8),  # By a rare event of the pilot
+        ("path, enlightened", 9.0, 5.0),  # Tables have become better
+        ("path, plain", 1.0, 1.8),
+        ("path, plain", 9.0, 8.2),
+    ],
+)
+def test_scouts_and_pilots_know_more_together(name: str, scout: float, expected: float) -> None:
+    said = [replace(p, variance=scout, error=1.0) if p.name == name else p for p in scouts()]
+    found = [replace(p, variance=5.0, error=2.0) if p.name == name else p for p in scouts()]
+    (both,) = (pilot for pilot in together(said, found) if pilot.name == name)
+    assert both.variance == pytest.approx(expected)
+    assert both.error == pytest.approx(2.0 if expected == 5.0 else 2.0 / 5.0**0.5)
 
 
 def test_what_was_left_out_is_judged_by_what_is_nearest() -> None:
