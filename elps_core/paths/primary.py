@@ -51,8 +51,10 @@ class Vectors:
         """
         self._coordinates = coordinates
         self._stride = dr.opaque(mi.UInt32, dr.width(coordinates) // chains)
-        self.begun: PrimaryStream | None = None
+        self.begun: tuple[mi.PCG32, mi.UInt32, mi.Bool] | None = None
+        """Generators, dimensions that come next, and whether steps are large, by chain."""
         self.u_wavelength: mi.Float | None = None
+        """Numbers for the wavelengths, by chain."""
 
     def read(self, dimension: mi.UInt32, chain: mi.UInt32) -> mi.UInt32:
         """Coordinates by dimension."""
@@ -89,7 +91,7 @@ class PrimaryStream(Stream):
         """
         self.dimension = dr.zeros(mi.UInt32, dr.width(self.chain)) + self.dimension
         dr.make_opaque(self.rng, self.dimension, self.large)
-        self.vectors.begun, self.vectors.u_wavelength = self, u_wavelength
+        self.vectors.begun, self.vectors.u_wavelength = (self.rng, self.dimension, self.large), u_wavelength
         return self
 
     def wavelengths(self, samples: int, turns: int) -> mi.Float:  # noqa: ARG002
@@ -98,16 +100,16 @@ class PrimaryStream(Stream):
 
     def at(self, sample: mi.UInt32, active: mi.Bool) -> PrimaryStream:
         """The numbers of other chains, from where their streams stood when walks began."""
-        begun = self.vectors.begun
-        if begun is None:
+        if self.vectors.begun is None:
             raise RuntimeError("no walk can begin before the stream of all chains has")
+        every, dimension, large = self.vectors.begun
         rng = mi.PCG32()
-        rng.state = dr.gather(mi.UInt64, begun.rng.state, sample, active)
-        rng.inc = dr.gather(mi.UInt64, begun.rng.inc, sample, active)
+        rng.state = dr.gather(mi.UInt64, every.state, sample, active)
+        rng.inc = dr.gather(mi.UInt64, every.inc, sample, active)
         return PrimaryStream(
             rng,
-            dr.gather(mi.UInt32, begun.dimension, sample, active),
-            dr.gather(mi.Bool, begun.large, sample, active),
+            dr.gather(mi.UInt32, dimension, sample, active),
+            dr.gather(mi.Bool, large, sample, active),
             sample,
             self.vectors,
         )
