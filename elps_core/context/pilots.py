@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from elps_core.arrays import on_device
 from elps_core.choice import CANDIDATES, WITH_CAUSTICS, Pilot, candidate
 from elps_core.context.store import DirectionalParts
-from elps_core.integrators.bdpt import Bdpt
+from elps_core.integrators.bdpt import Bdpt, Splat
 from elps_core.integrators.make import paths_of
 from elps_core.paths.nets import Nets
 from elps_core.paths.stream import Stream, opaque_key
@@ -135,23 +135,8 @@ class PilotRunner:
         """
         thinning = bdpt.thinning
         lit = BLOCK // thinning
-        squares, sums = dr.zeros(mi.Float, SUMS), dr.zeros(mi.Float, SUMS)
+        splat, squares, sums = self._light_sums()
         by_eye = []
-
-        def splat(
-            where: mi.Point2f,
-            value: mi.Spectrum,
-            wavelengths: mi.Spectrum,
-            sample: mi.UInt32,  # noqa: ARG001 (all add to one sum)
-            active: mi.Bool,
-        ) -> None:
-            amount = luminance(mi.UnpolarizedSpectrum(value), wavelengths)
-            relative = amount * self._worth(where)
-            place = mi.UInt32(dr.abs(where.x) * SUMS) & (SUMS - 1)
-            active = active & dr.isfinite(relative)
-            dr.scatter_reduce(dr.ReduceOp.Add, squares, dr.square(relative), place, active)
-            dr.scatter_reduce(dr.ReduceOp.Add, sums, relative, place, active)
-
         # All samples share the time, and the image: strata of their own, weighted by their part of it.
         for number, (count, scale) in enumerate(((lit, float(thinning)), (BLOCK - lit, None))):
             if not count:
@@ -182,7 +167,21 @@ class PilotRunner:
         Counted where p > q alone, where that mean is the easier one to know.
         """
         lights_alone = bdpt.selecting(replace(bdpt.strategies, rivals=True))
-        squares = dr.zeros(mi.Float, SUMS)
+        splat, squares, _ = self._light_sums()
+        sample = dr.arange(mi.UInt32, RIVALS)
+        nets = Nets(dr.zeros(mi.UInt32, RIVALS), sample, opaque_key(*key))
+        lane = dr.arange(mi.UInt32, RIVALS // TURNS)
+        streams = Stream.of(RIVALS // TURNS, *key, 1), nets.stream(lane)
+        lights_alone.trace(dr.zeros(mi.Point2f, RIVALS), streams, splat, turns=TURNS)
+        # The square of their mean is no variance: they bring a pixel's light at most, which counts as 1.
+        return max(0.0, float(dr.sum(squares)[0]) / RIVALS - 1.0)
+
+    def _light_sums(self) -> tuple[Splat, mi.Float, mi.Float]:
+        """What takes the contributions of light paths, and the sums [SUMS] of their squares and of themselves.
+
+        Relative to the pilot image; spread over places, which :data:`SUMS` counts.
+        """
+        squares, sums = dr.zeros(mi.Float, SUMS), dr.zeros(mi.Float, SUMS)
 
         def splat(
             where: mi.Point2f,
@@ -191,17 +190,14 @@ class PilotRunner:
             sample: mi.UInt32,  # noqa: ARG001 (all add to one sum)
             active: mi.Bool,
         ) -> None:
-            relative = luminance(mi.UnpolarizedSpectrum(value), wavelengths) * self._worth(where)
+            amount = luminance(mi.UnpolarizedSpectrum(value), wavelengths)
+            relative = amount * self._worth(where)
             place = mi.UInt32(dr.abs(where.x) * SUMS) & (SUMS - 1)
-            dr.scatter_reduce(dr.ReduceOp.Add, squares, dr.square(relative), place, active & dr.isfinite(relative))
+            active = active & dr.isfinite(relative)
+            dr.scatter_reduce(dr.ReduceOp.Add, squares, dr.square(relative), place, active)
+            dr.scatter_reduce(dr.ReduceOp.Add, sums, relative, place, active)
 
-        sample = dr.arange(mi.UInt32, RIVALS)
-        nets = Nets(dr.zeros(mi.UInt32, RIVALS), sample, opaque_key(*key))
-        lane = dr.arange(mi.UInt32, RIVALS // TURNS)
-        streams = Stream.of(RIVALS // TURNS, *key, 1), nets.stream(lane)
-        lights_alone.trace(dr.zeros(mi.Point2f, RIVALS), streams, splat, turns=TURNS)
-        # The square of their mean is no variance: they bring a pixel's light at most, which counts as 1.
-        return max(0.0, float(dr.sum(squares)[0]) / RIVALS - 1.0)
+        return splat, squares, sums
 
     def _worth(self, position: mi.Point2f) -> mi.Float:
         """1 / the pilot image at film positions."""
