@@ -47,15 +47,20 @@ FORMS = {
 }
 """Whose samples chains may walk over, and the candidates that speak for each: a plain one first, enlightened last."""
 SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", LIT_ALONE, WITH_CAUSTICS)
-"""Those that are compared early in training already, so that it can stop where tables will not pay."""
-AHEAD = 1.25
-"""How many times as efficient as the best guided one an unguided one must be then, at the least: tables are still to
-improve, and where errors are great, as at a door that is hardly ajar, nothing is known yet. With a tenth of the usual
-paths it was 1.3 to 1.5 on a staircase, where an unguided one won in the end, and 2.5 in Veach's scene; 1.2 or less in a
-Cornell box, where it lost, 1.1 for a bulb in glass, and 0.4 or less at the door."""
+"""Those that are compared early in training already, so that it can stop where tables will not pay; the last one only
+where the others have not decided that."""
+UNGUIDED = {EYE_PATHS: "path, plain", WITH_CAUSTICS: LIT_ALONE}
+"""What the guided ones of them would be without directions by table."""
+MOST_GAIN = 3.0
+"""How many times smaller tables can still make their variance, at most. They win as much again as they have won by
+then, 1.8 times in a Cornell box and 1.1 times on a staircase."""
+CLEAR = 4.0
+"""Relative variance above which nothing is decided then: where light is so hard to find, as at a door that is hardly
+ajar, tables do not know it yet."""
 HOPELESS = 3.0
-"""Times as efficient as a candidate another is, where neither that candidate nor what is like it is measured again. On
-the door joined subpaths were 3 times as efficient with tables as without."""
+"""Times as efficient as a candidate another is, where that candidate is not measured again."""
+JOINS = 1.5
+"""Times that tables may do more for joined subpaths than for eye paths."""
 DECIDED = 2.0
 """The same, where only unguided candidates are left: scouts tell these apart as well as pilots do."""
 ALIKE = 0.01
@@ -91,10 +96,6 @@ class Pilot:
     def efficiency(self) -> float:
         """1 / (variance time), time in seconds."""
         return 1e6 / max(self.variance * self.microseconds, LEAST)
-
-    def off_by(self, errors: float) -> Pilot:
-        """This pilot if its variance were so many standard errors greater."""
-        return replace(self, variance=self.variance + errors * self.error)
 
     def against(self, pilots: Iterable[Pilot]) -> Pilot:
         """This pilot with the variance that it is known to have: with that of light that it has not met.
@@ -136,12 +137,29 @@ class Choice:
 
 
 def unguided_wins(scouts: Iterable[Pilot]) -> bool:
-    """Whether training can stop: one without directions by table is so far ahead that these will not pay."""
+    """Whether training can stop: one without directions by table is better than those with it will be."""
     # Rivals are too uncertain so early, and of unguided paths nothing is known of the kind.
-    known = _known(replace(pilot, rival=0.0) for pilot in scouts)
-    guided = [pilot.off_by(-1.0).efficiency for pilot in known if _is_guided(pilot.name)]
-    unguided = [pilot.off_by(1.0).efficiency for pilot in known if not _is_guided(pilot.name)]
-    return max(unguided, default=0.0) > AHEAD * max(guided, default=float("inf"))
+    known = {pilot.name: pilot for pilot in _known(replace(pilot, rival=0.0) for pilot in scouts)}
+    guided = [_trained(pilot, known) for pilot in known.values() if _is_guided(pilot.name)]
+    others = [pilot for pilot in known.values() if not _is_guided(pilot.name)]
+    if not guided or not others:
+        return False
+    best = max(others, key=lambda pilot: pilot.efficiency)
+    return best.variance < CLEAR and best.efficiency > max(pilot.efficiency for pilot in guided)
+
+
+def _trained(guided: Pilot, known: Mapping[str, Pilot]) -> Pilot:
+    """A scout as it will be in the end, if tables win as much again as they have won."""
+    plain = known.get(UNGUIDED[guided.name])
+    gain = plain.variance / max(guided.variance, LEAST) if plain else 1.0
+    return replace(guided, variance=guided.variance / min(max(gain, 1.0), MOST_GAIN))
+
+
+def _joining_may_pay(scouts: Iterable[Pilot]) -> bool:
+    """Whether joined subpaths could be the best with tables, if these do for them what they do for eye paths."""
+    known = {pilot.name: pilot.efficiency for pilot in _known(scouts)}
+    gain = max(1.0, known.get(EYE_PATHS, 0.0) / known.get("path, plain", float("inf")))
+    return JOINS * gain * known.get("bdpt, plain", 0.0) >= max(known.values(), default=0.0)
 
 
 def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iterable[Pilot] = ()) -> list[str]:
@@ -155,7 +173,7 @@ def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iter
     if unguided_wins(said):
         close = _within(DECIDED, tuple(pilot for pilot in _known(said) if not _is_guided(pilot.name)), candidates)
         return close if len(close) > 1 else []
-    joining = not said or "bdpt, plain" in _within(HOPELESS, _known(said), candidates)
+    joining = not said or _joining_may_pay(said)
     guided = [name for name in candidates if _is_guided(name) and (joining or name not in JOINED)]
     others = [name for name in candidates if not _is_guided(name)]
     # By the guided ones alone, so that the list stays as it is while the others are measured.

@@ -28,7 +28,7 @@ from elps_core.scene.sensors import Camera
 from elps_core.settings import ContextSettings
 
 SCOUTED_AFTER = 3
-"""Steps of filling before the scouts: 2^15 + 2^16 + 2^17 paths."""
+"""Steps of filling before the scouts: 2^16 + 2^17 paths."""
 
 
 class ContextBuilder:
@@ -114,7 +114,9 @@ class ContextBuilder:
         """Compare a few candidates by the tables so far; no more steps for these where a plain one is far ahead."""
         parts = tables.result()
         runner = self._runner(parts, lights)
-        self._scouts = [runner.run(name, scout=True) for name in SCOUTS if name in self._candidates]
+        for name in SCOUTS:
+            if name in self._candidates and not (name == SCOUTS[-1] and unguided_wins(self._scouts)):
+                self._scouts.append(runner.run(name, scout=True))
         if unguided_wins(self._scouts):
             tables.stop()
             self._parts = parts

@@ -236,6 +236,7 @@ def finish(
     *,
     blur: float = BLUR,
     floor: float = FLOOR,
+    peaks: DirectionalAccumulator | None = None,
 ) -> DirectionalTables:
     """Tables fit to be sampled, from sums of one or more sources that estimate the same quantity.
 
@@ -245,6 +246,11 @@ def finish(
     Stein), so that what has converged stays as it is and what is empty takes over its group's.
     Regions of one group may face different ways: with ``normals`` [K, 3], none borrows what would
     come through its own surface. A share ``floor`` of every table is even over the whole sphere.
+
+    ``peaks`` holds light that is seen in other directions from every point of a region, weighted by its radiance times
+    cosine. Tables of mean radiance give it too little: the least variance of all points together is that of a density
+    in proportion to the root of the mean square (Rath et al., "Variance-Aware Path Guiding", 2020), which each cell has
+    in place of its mean for this light. All together it has half of a table at most.
 
     On the door scene, 9 degrees ajar, 800 regions with a median of 100 records other than zero, half of the
     directions guided, the variance was 0.49 of that without guidance with sums as they are, 0.31 with the
@@ -265,6 +271,11 @@ def finish(
     visible = None if normals is None else _above_horizon(normals, grid)
     shares = _blurred(merged.shares, grid, blur)
     shares = _drawn_to_groups(shares, merged.precision / spread, levels, grid.cells, visible)
+    if peaks is not None:
+        bright = peaks.estimate()
+        coming = _blurred(bright.shares, grid, blur)
+        coming = _drawn_to_groups(coming, bright.precision / spread, levels, grid.cells, visible)
+        shares = _with_peaks(shares, merged.irradiance, coming, bright.irradiance, grid.cells)
     shares = (1.0 - floor) * shares + floor / grid.cells
     evidence = np.sum([source.evidence for source in sources], axis=0)
     return DirectionalTables(
@@ -273,6 +284,26 @@ def finish(
         merged.irradiance.astype(np.float32),
         np.minimum(evidence, np.iinfo(np.uint32).max).astype(np.uint32),
     )
+
+
+def _with_peaks(
+    shares: mi.Float,
+    irradiance: NDArray[np.float64],
+    coming: mi.Float,
+    squared: NDArray[np.float64],
+    cells: int,
+) -> mi.Float:
+    """Tables of ``irradiance``, and of light with that integral of its ``squared`` radiance times cosine."""
+    region = dr.arange(mi.UInt32, dr.width(shares)) // cells
+    # Of one cell: the root mean square of radiance times cosine, times the cell's solid angle.
+    root = dr.sqrt(coming * dr.gather(mi.Float, _single(squared * (4.0 * np.pi / cells)), region))
+    dr.eval(root)
+    total = np.array(dr.block_sum(root, cells), np.float64)
+    part = np.minimum(total, irradiance) * _reciprocal(irradiance + np.minimum(total, irradiance))
+    keep, scale = (dr.gather(mi.Float, _single(values), region) for values in (1.0 - part, part * _reciprocal(total)))
+    result = keep * shares + scale * root
+    dr.eval(result)
+    return result
 
 
 def _merged(estimates: list[Estimate]) -> Estimate:

@@ -63,7 +63,7 @@ class PilotImage:
 
     def image(self) -> NDArray[np.float32]:
         """Mean luminance [rows, columns], blurred."""
-        sums, counts = (_blurred(part) for part in self.sums)
+        sums, counts = (blurred(part) for part in self.sums)
         return np.asarray(sums / np.maximum(counts, LEAST_PATHS), np.float32)
 
     def noise(self) -> float:
@@ -106,7 +106,7 @@ def regions_in_view(scene: mi.Scene, camera: Camera, regions: Regions, shape: tu
     return np.array(seen).astype(np.uint16).reshape(height, width)
 
 
-def _blurred(image: Doubles) -> Doubles:
+def blurred(image: Doubles) -> Doubles:
     """Each pixel with its neighbours, 1 : 2 : 1 along both axes."""
     for axis in (0, 1):
         last = image.shape[axis] - 1

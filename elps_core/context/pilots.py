@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
 from elps_core.choice import CANDIDATES, WITH_CAUSTICS, Pilot, candidate
+from elps_core.context.pilot_image import blurred
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt, Splat
 from elps_core.integrators.make import paths_of
@@ -27,10 +28,12 @@ BLOCK = 1 << 16
 """Samples of a block."""
 POINTS = 16
 """Samples of a set, spread evenly as in renders; each pixel has two sets, whose difference tells of noise alone."""
-LEAST, MOST, SECONDS = 2, 8, 0.25
-"""Blocks of a candidate; no more are begun after this time, if nothing else is said."""
+LEAST, MOST, SECONDS, SCOUTING = 2, 8, 0.25, 0.15
+"""Blocks of a candidate; no more are begun after this time, or that of a scout."""
 TURNS = 4
 """Samples of a lane, one after the other, as in renders."""
+BLURS = 8
+"""Times that the pilot image is blurred once more: pixels where little was found by chance are not to decide."""
 DARK = 0.01
 """Part of the mean that counts as noise-free in every pixel: dark ones are not to decide."""
 SMALLEST = 1e-18
@@ -84,6 +87,8 @@ class PilotRunner:
         self._scene, self._camera, self._lights, self._parts = scene, camera, lights, parts
         self._settings = RenderSettings(integrator="bdpt", max_depth=settings.max_depth, context=settings)
         pilot = np.asarray(parts.pilot, np.float64)
+        for _ in range(BLURS):
+            pilot = blurred(pilot)
         # Fixed before any of the samples: a mean of the samples themselves would hide their outliers.
         floored = np.sqrt(np.square(pilot) + (DARK * pilot.mean()) ** 2)
         self._inverse = on_device(mi.Float, 1.0 / np.maximum(floored, SMALLEST))
@@ -93,11 +98,11 @@ class PilotRunner:
         self._scale = dr.opaque(mi.Point2f, [width / int(camera.size.x), height / int(camera.size.y)])
 
     def run(self, name: str, *, scout: bool = False) -> Pilot:
-        """Measure the candidate ``name``, by samples of their own and the least number if it is a ``scout``."""
+        """Measure the candidate ``name``, by samples of their own and fewer if it is a ``scout``."""
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
         key = (self._settings.context.seed, STREAM, list(CANDIDATES).index(name), int(scout))
-        limit = 0.0 if scout else SECONDS
+        limit = SCOUTING if scout else SECONDS
         found: list[_Block] = []
         seconds, begin = 0.0, time.perf_counter()
         while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < limit):

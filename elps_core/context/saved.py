@@ -24,6 +24,8 @@ SOURCES = ("radiance", "photons", "importance")
 """Sums of what eye paths find, of what light paths bring, and of what eye paths bring."""
 DEPARTURES = "departures"
 """Sums of the light that reaches the image, by how it leaves the pieces of the emitters."""
+CAUSTICS = "caustics"
+"""Sums of the light that mirrors and glass bring, squared: see :class:`elps_core.particles.caustics.CausticSampler`."""
 UNFIT = "the saved state of the context does not fit: measure it again"
 
 
@@ -45,7 +47,7 @@ class TableState:
     areas: Doubles | None = None
     """Of the regions, once tables are filled."""
     sources: dict[str, DirectionalAccumulator] = field(default_factory=dict)
-    """By names of :data:`SOURCES`, and :data:`DEPARTURES`, once tables are filled."""
+    """By names of :data:`SOURCES`, :data:`DEPARTURES` and :data:`CAUSTICS`, once tables are filled."""
     lights: Doubles = field(default_factory=lambda: np.zeros((0, 0)))
     """What light sampling found, by region and piece of the lights."""
     known: DirectionalParts | None = None
@@ -86,7 +88,7 @@ class TableState:
         saved = _part(arrays, "clustering")
         clustering = Clustering.from_arrays(saved) if saved else None
         areas = arrays.get("areas")
-        names = {name.partition(".")[0] for name in arrays} & {*SOURCES, DEPARTURES}
+        names = {name.partition(".")[0] for name in arrays} & {*SOURCES, DEPARTURES, CAUSTICS}
         sources = {name: DirectionalAccumulator.from_arrays(_part(arrays, name)) for name in sorted(names)}
         given = _part(arrays, "known")
         known = DirectionalParts.from_arrays(given) if given else None

@@ -16,20 +16,26 @@ from elps_core.context.clustering import Clustering, groups_of
 from elps_core.context.directional import DirectionalAccumulator, finish
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.field import DirectionalField
+from elps_core.context.gather import (
+    AIMED_FOR_TABLES,
+    AREAS,
+    FILLING,
+    KNOWING,
+    STREAM,
+    caustics,
+    gather,
+    sampler,
+)
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.pilot_image import PilotImage, regions_in_view
 from elps_core.context.regions import Regions
-from elps_core.context.saved import DENSITY_SIDE, DEPARTURES, SOURCES, Arrays, Doubles, TableState
+from elps_core.context.saved import CAUSTICS, DEPARTURES, SOURCES, Arrays, Doubles, TableState
 from elps_core.context.store import DirectionalParts
 from elps_core.context.surroundings import SHARE, sees_enough, with_pieces
 from elps_core.context.walks import WalkRecorder
-from elps_core.errors import SceneRejected
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.frame import LANES
-from elps_core.particles.bidirectional import BidirectionalSampler
-from elps_core.particles.classical import ClassicalSampler
-from elps_core.particles.metropolis import MetropolisSampler
-from elps_core.particles.records import IMPORTON, PHOTON, Particles, ParticleSampler, Worth, everywhere
+from elps_core.particles.records import IMPORTON, PHOTON, Particles
 from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
@@ -41,10 +47,6 @@ from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
 from elps_core.settings import USUAL_PATHS, ContextSettings
 
-PER_REGION = 64
-"""Particles of a region, from which its place follows."""
-MOST_PARTICLES = 1 << 20
-"""Particles that regions are made from, at most."""
 CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
 """Steps of a build for the clustering, and its own steps in each: 12 are enough for it."""
 REGIONS_PER_GROUP = 16
@@ -64,16 +66,10 @@ LENT = 0.1
 """Share of a region's table of lights that is its group's: what was not met there may be near."""
 LIGHT_PART = 1
 """Eye paths for one light path: photons tell what eye paths cannot find."""
-MOST_CHAINS, MUTATIONS = 32768, 16
-"""Metropolis chains side by side, and their mutations where there are fewer."""
 PILOT_PATHS = 1 << 19
 """Paths of the pilot image where particles fill the tables."""
 LINES = 1 << 19
 """Random lines by which areas are measured."""
-STREAM = 0xD1AE
-"""Sets the random numbers of the tables apart from those of renders with the same seed."""
-PARTICLES, AREAS, FILLING, KNOWING = range(4)
-"""Next part of their keys: what they are for."""
 
 
 class TableBuilder:
@@ -216,7 +212,8 @@ class TableBuilder:
 
     def _finished(self, *names: str) -> DirectionalTables:
         sources = [self._made.sources[name] for name in names if name in self._made.sources]
-        return finish(sources, self._groups(), self.regions.normals)
+        peaks = self._made.sources.get(CAUSTICS) if "radiance" in names else None
+        return finish(sources, self._groups(), self.regions.normals, peaks=peaks)
 
     # -- Checkpoints -----------------------------------------------------------------------------
 
@@ -237,61 +234,9 @@ class TableBuilder:
     # -- Regions ---------------------------------------------------------------------------------
 
     def _gather(self, lights: StartDensity) -> None:
-        """Particles of both kinds, as many of one as of the other: eye paths meet regions, and light paths do."""
-        wanted = min(MOST_PARTICLES, max(PER_REGION * self.settings.regions, 1 << 14)) // 2
-        found: dict[int, list[tuple[Any, ...]]] = {PHOTON: [], IMPORTON: []}
-        counts = {PHOTON: 0, IMPORTON: 0}
-        for run in range(64):  # Bounded: a scene may have no surface that scatters
-            if min(counts.values()) >= wanted or (run > 1 and not any(counts.values())):
-                break
-            key = (self.settings.seed, STREAM, PARTICLES, run)
-            for particles in self._sampler(lights, wanted, first_hits=True).run(key):
-                for kind in found:
-                    position, normal = _turned(particles.of(kind))
-                    found[kind].append((position, normal))
-                    counts[kind] += len(position)
-        if not any(counts.values()):
-            raise SceneRejected("no path meets a surface that scatters: render without context")
-        rng = np.random.default_rng([self.settings.seed, STREAM])
-        chosen = []
-        for kind, parts in found.items():
-            if not counts[kind]:
-                continue
-            position, normal = (np.concatenate(part) for part in zip(*parts, strict=True))
-            # Particles come in the order in which threads were done.
-            keep = np.lexsort(position.T)[rng.permutation(len(position))[:wanted]]
-            chosen.append((position[keep], normal[keep]))
-            self._made.density[kind] = self._from_above(position)
-        position, normal = (np.concatenate(part) for part in zip(*chosen, strict=True))
-        self._made.particles = len(position)
-        self._made.clustering = Clustering(position, normal, self.settings.regions, self.settings.seed)
-
-    def _sampler(
-        self, lights: StartDensity, paths: int, *, first_hits: bool = False, worth: Worth = everywhere
-    ) -> ParticleSampler:
-        common: dict[str, Any] = {"max_depth": self.settings.max_depth, "first_hits": first_hits, "worth": worth}
-        if self.settings.particles == "bidirectional":
-            return BidirectionalSampler(self.scene, self.camera, lights, paths=paths, **common)
-        if self.settings.particles == "metropolis":
-            chains = min(MOST_CHAINS, max(1024, paths // MUTATIONS))
-            return MetropolisSampler(
-                self.scene,
-                self.camera,
-                lights,
-                iterations=max(1, paths // chains),
-                chains=chains,
-                **common,
-            )
-        return ClassicalSampler(self.scene, self.camera, lights, paths=paths, **common)
-
-    def _from_above(self, position: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Shares of particles by place, seen from above: rows go with z, columns with x."""
-        box = self.scene.bbox()
-        low, high = (np.array([float(x) for x in corner]) for corner in (box.min, box.max))
-        across = max(high[0] - low[0], high[2] - low[2])
-        cell = np.clip((position[:, [2, 0]] - low[[2, 0]]) * (DENSITY_SIDE / across), 0, DENSITY_SIDE - 1).astype(int)
-        counts = np.bincount(cell[:, 0] * DENSITY_SIDE + cell[:, 1], minlength=DENSITY_SIDE**2)
-        return (counts.reshape(DENSITY_SIDE, DENSITY_SIDE) / len(position)).astype(np.float32)
+        places = gather(self.scene, self.camera, self.settings, lights)
+        self._made.particles, self._made.density = len(places.position), places.density
+        self._made.clustering = Clustering(places.position, places.normal, self.settings.regions, self.settings.seed)
 
     # -- Filling ---------------------------------------------------------------------------------
 
@@ -312,11 +257,22 @@ class TableBuilder:
         for name in names:
             self._made.sources.setdefault(name, DirectionalAccumulator(count, *grid))
         paths = self.filling[number]
+        if walks and not known and number == 0:
+            self._aim(lights, finder, self._made.areas)
         if walks:
             self._walk(lights, finder, self._made.areas, paths, number, key)
         else:
             self._collect(lights, finder, self._made.areas, paths, key)
         self._made.paths += paths
+
+    def _aim(self, lights: StartDensity, finder: GuidedDirections, areas: Doubles) -> None:
+        """What mirrors and glass bring, which neither eye paths nor other light paths meet often enough."""
+        aimed = DirectionalAccumulator(finder.lookup.count, self.settings.rows, self.settings.columns)
+        for photons in caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES):
+            _enter(photons, finder, aimed, 2)
+            aimed.close_batch(areas)
+        if aimed.evidence.any():
+            self._made.sources[CAUSTICS] = aimed
 
     def _walk(
         self,
@@ -349,7 +305,7 @@ class TableBuilder:
             self.camera,
             lights,
             max_depth=self.settings.max_depth,
-            roulette=RouletteRule("none" if number < UNROULETTED else "context", 5),
+            roulette=RouletteRule("albedo" if number < UNROULETTED else "context", 5),
             strategies=strategies.path(),
             directions=directions,
             worth=worth,
@@ -399,7 +355,10 @@ class TableBuilder:
             return pixels(position) / pixels.gain
 
         for part in range(2):
-            for particles in self._sampler(lights, max(1024, paths // 2), worth=worth).run((*key, part)):
+            particle_sampler = sampler(
+                self.scene, self.camera, self.settings, lights, max(1024, paths // 2), worth=worth
+            )
+            for particles in particle_sampler.run((*key, part)):
                 for kind, name in ((PHOTON, "photons"), (IMPORTON, "importance")):
                     # Light that comes straight from a lamp is the business of light sampling.
                     _enter(particles.of(kind), finder, self._made.sources[name], 2 if kind == PHOTON else 1)
@@ -429,13 +388,6 @@ def _shares(sums: Doubles) -> Doubles:
     total = sums.sum(axis=1, keepdims=True)
     found: Doubles = np.divide(sums, total, out=np.zeros_like(sums), where=total > 0.0)
     return found
-
-
-def _turned(particles: Particles) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Positions and normals, these to the side from which particles come."""
-    arrays = particles.arrays()
-    behind = (arrays.normal * arrays.direction).sum(axis=1, keepdims=True) < 0.0
-    return arrays.position, np.where(behind, -arrays.normal, arrays.normal)
 
 
 def _enter(particles: Particles, finder: GuidedDirections, table: DirectionalAccumulator, first: int) -> None:

@@ -9,12 +9,15 @@ import pytest
 from pydantic import ValidationError
 
 from elps_core.choice import (
-    AHEAD,
     CANDIDATES,
+    CLEAR,
     DECIDED,
     ENLIGHTENED,
     HOPELESS,
     JOINED,
+    JOINS,
+    LIT_ALONE,
+    MOST_GAIN,
     PILOTS,
     SCOUTS,
     Choice,
@@ -174,54 +177,77 @@ def scouts(**efficiencies: float) -> list[Pilot]:
     return [Pilot(**e) for e in statistics(**efficiencies)[PILOTS] if e["name"] in SCOUTS]
 
 
+def clear(**efficiencies: float) -> list[Pilot]:
+    """Scouts of a scene where light is easy to find."""
+    return [replace(pilot, variance=1e-6 * pilot.variance) for pilot in scouts(**efficiencies)]
+
+
 @pytest.mark.parametrize(
     ("efficiencies", "wins"),
     [
         ({}, False),
-        ({"pp": 1.01 * AHEAD}, True),
-        ({"bp": 1.01 * AHEAD}, True),
-        ({"pp": 1.01 * AHEAD, "beu": 1.02}, False),
+        ({"pp": 1.01}, True),
+        ({"bp": 1.01}, True),
+        ({"blbcu": 1.01}, True),
+        ({"pp": 1.01, "beu": 1.02}, False),
         ({"pp": 0.1, "bp": 0.1}, False),
     ],
 )
-def test_training_stops_where_a_plain_one_is_far_ahead(efficiencies: dict[str, float], wins: bool) -> None:
-    assert unguided_wins(scouts(**efficiencies)) is wins
+def test_training_stops_where_a_plain_one_is_ahead(efficiencies: dict[str, float], wins: bool) -> None:
+    assert unguided_wins(clear(**efficiencies)) is wins
 
 
-@pytest.mark.parametrize("name", ["path, plain", "path, enlightened"])
-def test_training_goes_on_where_scouts_are_not_sure(name: str) -> None:
-    """The one ahead may be worse than it seems by its error, and the others better."""
-    said = scouts(pp=2.0)
+@pytest.mark.parametrize(("guided", "plain"), [("pe", "pp"), ("beu", "blbcu")])
+def test_tables_are_to_win_again_what_they_have_won(guided: str, plain: str) -> None:
+    """Here their paths have half of the variance, and take twice the time and more."""
+    names = {"pp": "path, plain", "pe": "path, enlightened", "beu": "bdpt, enlightened, unjoined"}
+    for slower, wins in ((3.9, False), (4.1, True)):
+        said = clear(**{"pe": 0.01, "beu": 0.01, guided: 2.0})
+        slow = [replace(p, microseconds=slower) if p.name == names[guided] else p for p in said]
+        assert unguided_wins(slow) is wins
+        # What they have not won of their own kind is no sign
+        worse = [replace(p, variance=0.5, microseconds=2.0) if p.name in (names["pp"], LIT_ALONE) else p for p in slow]
+        assert unguided_wins(worse)
+    far = clear(**{"pe": 1e-3, "beu": 1e-3, guided: 100.0, "bp": 99.0 * MOST_GAIN})
+    assert not unguided_wins(far)
+    assert unguided_wins([replace(p, variance=0.9 * p.variance) if p.name == "bdpt, plain" else p for p in far])
+
+
+def test_training_goes_on_where_light_is_hard_to_find() -> None:
+    said = clear(pp=2.0)
     assert unguided_wins(said)
-    assert not unguided_wins([replace(pilot, error=pilot.variance * (pilot.name == name)) for pilot in said])
+    hard = [replace(pilot, variance=2.1 * CLEAR * pilot.variance) for pilot in said]
+    assert not unguided_wins(hard)
 
 
 def test_rivals_do_not_stop_training() -> None:
     told = "bdpt, enlightened, unjoined"
-    said = [replace(pilot, rival=1e9 * (pilot.name == told)) for pilot in scouts(pp=1.5, pe=2.0)]
+    said = [replace(pilot, rival=1e9 * (pilot.name == told)) for pilot in clear(pp=1.5, pe=2.0)]
     assert not unguided_wins(said)
     assert unguided_wins([pilot for pilot in said if pilot.name != "path, enlightened"])
 
 
 def test_scouts_need_something_to_compare() -> None:
     assert not unguided_wins([])
-    assert not unguided_wins(scouts()[:1])
+    assert not unguided_wins(clear()[:1])
 
 
 def test_plain_candidates_are_measured_again_where_several_are_close() -> None:
     every = list(CANDIDATES)
-    assert worth_measuring(every, scouts(pp=9.0)) == []
-    assert worth_measuring(every, scouts(pp=9.0, bp=8.9 / DECIDED)) == []
-    assert worth_measuring(every, scouts(pp=9.0, bp=9.1 / DECIDED)) == ["path, plain", "bdpt, plain"]
-    assert worth_measuring(every[1:], scouts(pp=9.0, bp=9.1 / DECIDED)) == []
+    assert worth_measuring(every, clear(pp=9.0)) == []
+    assert worth_measuring(every, clear(pp=9.0, bp=8.9 / DECIDED)) == []
+    assert worth_measuring(every, clear(pp=9.0, bp=9.1 / DECIDED)) == ["path, plain", "bdpt, plain"]
+    assert worth_measuring(every[1:], clear(pp=9.0, bp=9.1 / DECIDED)) == []
 
 
 def test_subpaths_are_joined_by_context_where_it_may_pay() -> None:
     every = list(CANDIDATES)
     assert set(worth_measuring(every, [])) == set(every)
-    assert set(worth_measuring(every, scouts(pe=9.0, bp=9.1 / HOPELESS))) == set(every)
-    without = worth_measuring(every, scouts(pe=9.0, bp=8.9 / HOPELESS))
+    # What tables do for eye paths, they may do for joined subpaths, and a little more
+    assert set(worth_measuring(every, scouts(pe=9.0, bp=1.01 / JOINS))) == set(every)
+    without = worth_measuring(every, scouts(pe=9.0, bp=0.99 / JOINS))
     assert set(without) == set(every) - set(JOINED)
+    assert set(worth_measuring(every, scouts(pp=0.9, bp=0.91 / JOINS, beu=0.8))) == set(every)
 
 
 def test_what_tables_have_left_behind_is_not_measured_again() -> None:

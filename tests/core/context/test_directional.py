@@ -496,3 +496,28 @@ def test_a_damaged_state_is_refused(damage: Callable[[dict[str, Array]], object]
     damage(state)
     with pytest.raises(ContextMismatch):
         DirectionalAccumulator.from_arrays(state)
+
+
+def test_light_that_moves_within_a_region_has_the_root_of_its_mean_square() -> None:
+    from elps_core.context.directional import finish
+
+    cells = centres((8, 16))
+    region = np.zeros(256, int)
+    even = accumulated([(region, np.tile(cells, (2, 1)), np.full(256, 1.0))] * 2, 1)
+    plain = finish([even], blur=0.0, floor=0.0)
+    irradiance = plain.irradiance[0]
+    # In two cells, one with four times the other's mean square
+    share = 0.1
+    squares = np.square(share * irradiance * np.array([2.0, 1.0]) / 3.0) / (4.0 * np.pi / 128)
+    records = (np.zeros(2000, int), cells[np.repeat([5, 77], 1000)], np.repeat(squares / 1000, 1000))
+    peaks = accumulated([records] * 2, 1, exposure=1.0)
+    result = finish([even], blur=0.0, floor=0.0, peaks=peaks)
+    assert result.irradiance[0] == pytest.approx(irradiance), "it is no more light than before"
+    more = result.values.reshape(-1) - plain.values.reshape(-1) / (1.0 + share)
+    assert more[[5, 77]] == pytest.approx(np.array([2.0, 1.0]) / 3.0 * share / (1.0 + share), rel=0.02)
+    assert np.abs(np.delete(more, [5, 77])).max() < 1e-4
+    bright = accumulated([(records[0], records[1], 1e6 * records[2])] * 2, 1, exposure=1.0)
+    most = finish([even], blur=0.0, floor=0.0, peaks=bright).values.reshape(-1)
+    assert most[[5, 77]].sum() == pytest.approx(0.5, abs=0.01), "half of a table at most"
+    none = finish([even], blur=0.0, floor=0.0, peaks=accumulated([], 1))
+    assert none.values == pytest.approx(plain.values)
