@@ -51,12 +51,14 @@ SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", LIT_ALONE, WITH_CAUSTICS)
 where the others have not decided that."""
 UNGUIDED = {EYE_PATHS: "path, plain", WITH_CAUSTICS: LIT_ALONE}
 """What the guided ones of them would be without directions by table."""
-MOST_GAIN = 3.0
+MOST_GAIN = 2.0
 """How many times smaller tables can still make their variance, at most. They win as much again as they have won by
 then, 1.8 times in a Cornell box and 1.1 times on a staircase."""
-CLEAR = 4.0
+CLEAR = 100.0
 """Relative variance above which nothing is decided then: where light is so hard to find, as at a door that is hardly
 ajar, tables do not know it yet."""
+WHOLE_TRAINING = 0.1
+"""Part of a render's time that the rest of training takes, which guided ones have to win back."""
 HOPELESS = 3.0
 """Times as efficient as a candidate another is, where that candidate is not measured again."""
 JOINS = 1.5
@@ -145,7 +147,8 @@ def unguided_wins(scouts: Iterable[Pilot]) -> bool:
     if not guided or not others:
         return False
     best = max(others, key=lambda pilot: pilot.efficiency)
-    return best.variance < CLEAR and best.efficiency > max(pilot.efficiency for pilot in guided)
+    worth = (1.0 - WHOLE_TRAINING) * max(pilot.efficiency for pilot in guided)
+    return best.variance < CLEAR and best.efficiency > worth
 
 
 def _trained(guided: Pilot, known: Mapping[str, Pilot]) -> Pilot:

@@ -179,7 +179,7 @@ class PssmltSettings(_Model):
     path only brings to the sensor what it meets. A pair costs more, and finds what eye paths alone seldom meet. Absent:
     of those that pilots found the most efficient where there are pilots, else of bdpt."""
     multiplexed: bool = False
-    """Whether a state is a path by one strategy, five times as fast, in place of all strategies of a pair of paths.
+    """Whether a state is a path by one strategy, which is faster, in place of all strategies of a pair of paths.
     On Veach's bidirectional scene 13 times as efficient as ``mi_path`` at equal time; without, 64 times."""
     large_step: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     """Probability of an independent proposal [thesis 5.4]."""

@@ -28,7 +28,7 @@ from elps_core.scene.sensors import Camera
 from elps_core.settings import ContextSettings
 
 SCOUTED_AFTER = 3
-"""Steps of filling before the scouts: 2^16 + 2^17 paths."""
+"""Steps of filling before the scouts: 2^15 + 2^16 + 2^17 paths."""
 
 
 class ContextBuilder:

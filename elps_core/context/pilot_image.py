@@ -17,7 +17,7 @@ Doubles = NDArray[np.float64]
 SIDE = 96
 """Longer side in pixels."""
 DARK = 0.01
-"""Part of the mean that counts as the value of darker pixels, where variances are relative."""
+"""Part of the mean that is added to every pixel where variances are relative: dark ones are not to decide."""
 CLEAR = 4.0
 """Relative variance of a path above which steps are not compared by it: where light is so hard to find, a step has more
 of it than the one before because it has found more."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
 from elps_core.choice import CANDIDATES, WITH_CAUSTICS, Pilot, candidate
-from elps_core.context.pilot_image import blurred
+from elps_core.context.pilot_image import DARK, blurred
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt, Splat
 from elps_core.integrators.make import paths_of
@@ -34,8 +34,6 @@ TURNS = 4
 """Samples of a lane, one after the other, as in renders."""
 BLURS = 8
 """Times that the pilot image is blurred once more: pixels where little was found by chance are not to decide."""
-DARK = 0.01
-"""Part of the mean that counts as noise-free in every pixel: dark ones are not to decide."""
 SMALLEST = 1e-18
 """What a pixel of a black image counts as: its inverse has a square that is a float."""
 STREAM = 0x9170

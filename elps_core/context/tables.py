@@ -57,8 +57,8 @@ TRAINING_SHARE = 0.6
 """Chance of a direction from the tables so far: less than in renders, since they are to change."""
 RECORDS = 1 << 21
 """Room for the records of one pass, 50 MB: longer paths have more, so that there are fewer of them."""
-UNROULETTED = 2
-"""Steps of filling without roulette: what tables hold so far would end paths that have more to find."""
+BY_ALBEDO = 2
+"""Steps of filling with roulette by albedo: by what tables hold so far paths would end that have more to find."""
 WORTHWHILE, SURELY = 0.1, 1.0
 """Part of a path's variance that a step has to win, if it could be that many standard errors more, for the next to be
 taken: that one takes about a tenth of a render's time. In the maze, with a quarter of the paths, tables are as good."""
@@ -155,8 +155,8 @@ class TableBuilder:
     @property
     def _converged(self) -> bool:
         """Whether more paths would hardly improve the tables."""
-        # Steps without roulette are no measure of what the tables are worth to those with it.
-        won = self._made.pilot.won(SURELY) if self.filled >= UNROULETTED + 1 else float("inf")
+        # Steps with another roulette are no measure of what the tables are worth to those with this one.
+        won = self._made.pilot.won(SURELY) if self.filled >= BY_ALBEDO + 1 else float("inf")
         tolerance = self.settings.tolerance
         return self.relative_error() <= tolerance or (tolerance > 0.0 and won < WORTHWHILE)
 
@@ -305,7 +305,7 @@ class TableBuilder:
             self.camera,
             lights,
             max_depth=self.settings.max_depth,
-            roulette=RouletteRule("albedo" if number < UNROULETTED else "context", 5),
+            roulette=RouletteRule("albedo" if number < BY_ALBEDO else "context", 5),
             strategies=strategies.path(),
             directions=directions,
             worth=worth,

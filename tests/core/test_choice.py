@@ -20,6 +20,7 @@ from elps_core.choice import (
     MOST_GAIN,
     PILOTS,
     SCOUTS,
+    WHOLE_TRAINING,
     Choice,
     Pilot,
     candidate,
@@ -185,11 +186,13 @@ def clear(**efficiencies: float) -> list[Pilot]:
 @pytest.mark.parametrize(
     ("efficiencies", "wins"),
     [
-        ({}, False),
+        ({}, True),
+        ({"pe": (1.01 / (1.0 - WHOLE_TRAINING)) ** 0.5}, False),  # As much again as it has won
+        ({"pe": (0.99 / (1.0 - WHOLE_TRAINING)) ** 0.5}, True),
         ({"pp": 1.01}, True),
         ({"bp": 1.01}, True),
         ({"blbcu": 1.01}, True),
-        ({"pp": 1.01, "beu": 1.02}, False),
+        ({"pp": 1.01, "beu": 1.14}, False),
         ({"pp": 0.1, "bp": 0.1}, False),
     ],
 )
@@ -201,14 +204,14 @@ def test_training_stops_where_a_plain_one_is_ahead(efficiencies: dict[str, float
 def test_tables_are_to_win_again_what_they_have_won(guided: str, plain: str) -> None:
     """Here their paths have half of the variance, and take twice the time and more."""
     names = {"pp": "path, plain", "pe": "path, enlightened", "beu": "bdpt, enlightened, unjoined"}
-    for slower, wins in ((3.9, False), (4.1, True)):
+    for slower, wins in ((3.9 * (1.0 - WHOLE_TRAINING), False), (4.1 * (1.0 - WHOLE_TRAINING), True)):
         said = clear(**{"pe": 0.01, "beu": 0.01, guided: 2.0})
         slow = [replace(p, microseconds=slower) if p.name == names[guided] else p for p in said]
         assert unguided_wins(slow) is wins
         # What they have not won of their own kind is no sign
         worse = [replace(p, variance=0.5, microseconds=2.0) if p.name in (names["pp"], LIT_ALONE) else p for p in slow]
         assert unguided_wins(worse)
-    far = clear(**{"pe": 1e-3, "beu": 1e-3, guided: 100.0, "bp": 99.0 * MOST_GAIN})
+    far = clear(**{"pe": 1e-3, "beu": 1e-3, guided: 100.0, "bp": 99.0 * MOST_GAIN * (1.0 - WHOLE_TRAINING)})
     assert not unguided_wins(far)
     assert unguided_wins([replace(p, variance=0.9 * p.variance) if p.name == "bdpt, plain" else p for p in far])
 

@@ -153,6 +153,58 @@ def builder_of(box: LoadedScene, **options: Any) -> Any:
     return ContextBuilder(box, ContextSettings(**SMALL | options))
 
 
+def spread(scene: LoadedScene, parts: DirectionalParts) -> tuple[int, float]:
+    """Regions that caustics fall into, and the mean of 1 / density where their light comes from."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from elps_core.context.field import DirectionalField
+    from elps_core.context.gather import KNOWING, caustics
+    from elps_core.context.lookup import RegionLookup
+    from elps_core.sampling.start import StartDensity, power_table
+    from elps_core.scene.emission import Emission
+
+    emission = Emission(scene.scene)
+    lights = StartDensity(emission, power_table(emission))
+    (photons,) = caustics(scene.scene, ContextSettings(**SMALL, seed=9), lights, KNOWING)
+    lookup = RegionLookup(parts.regions)
+    side = dr.mulsign(mi.Vector3f(photons.normal), dr.dot(photons.normal, photons.direction))
+    region = lookup(photons.position, side, mi.Bool(True))
+    pdf = np.array(DirectionalField(lookup, parts.radiance).pdf(region, photons.direction), np.float64)
+    weight = np.array(photons.weight, np.float64)
+    return len(np.unique(np.array(region))), float(np.average(1.0 / pdf, weights=weight))
+
+
+def test_caustics_have_small_regions_and_tables_that_know_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from elps_core.context import gather, tables
+
+    monkeypatch.setattr(gather, "CAUSTIC_PATHS", 1 << 16)
+    write(cornell("spheres"), tmp_path / "scene.zip")
+    scene = load_scene(tmp_path / "scene.zip", "llvm_ad_rgb", size=(24, 24))
+    options = {"regions": 256, "rows": 16, "columns": 32}
+    builder = builder_of(scene, **options)
+    while builder.done < builder.steps:
+        saved, builder = builder.to_bytes(), builder_of(scene, **options)
+        builder.restore(saved)
+        builder.step()
+    assert load_tensors(builder.to_bytes())["tables.caustics.evidence"].sum() > 1000
+    many, near = spread(scene, builder.result().directions)
+    for module in (gather, tables):
+        monkeypatch.setattr(module, "caustics", lambda *_: iter(()))
+    without = builder_of(scene, **options)
+    while without.done < without.steps:
+        without.step()
+    monkeypatch.undo()
+    monkeypatch.setattr(gather, "CAUSTIC_PATHS", 1 << 16)
+    few, far = spread(scene, without.result().directions)
+    assert many > 1.2 * few
+    assert near < 0.5 * far
+
+
+def test_without_mirrors_and_glass_there_are_no_caustics(state: dict[str, Array]) -> None:
+    assert not any(name.startswith("tables.caustics") for name in state)
+
+
 def test_steps_go_on_where_they_were_saved(box: LoadedScene) -> None:
     """Each step from a saved state makes the same of it, but for the order of sums."""
     ours = builder_of(box, paths=1 << 16)
@@ -280,7 +332,7 @@ def test_steps_that_win_nothing_are_the_last(
     while builder.done < builder.steps:
         builder.step()
     # The first two that are compared have roulette both.
-    least = sum(tables.FIRST_PATHS << step for step in range(tables.UNROULETTED + 2))
+    least = sum(tables.FIRST_PATHS << step for step in range(tables.BY_ALBEDO + 2))
     assert builder.result().statistics["table_paths"] == (least if stops else 1 << 20)
 
 
