@@ -61,10 +61,10 @@ WHOLE_TRAINING = 0.1
 """Part of a render's time that the rest of training takes, which guided ones have to win back."""
 HOPELESS = 3.0
 """Times as efficient as a candidate another is, where that candidate is not measured again."""
-JOINS = 1.5
-"""Times that tables may do more for joined subpaths than for eye paths."""
 DECIDED = 2.0
 """The same, where only unguided candidates are left: scouts tell these apart as well as pilots do."""
+JOINS = 1.5
+"""Times that tables may do more for joined subpaths than for eye paths."""
 ALIKE = 0.01
 """Relative error that nobody knows a variance better than."""
 SIGMAS = 3.0

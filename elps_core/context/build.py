@@ -111,7 +111,7 @@ class ContextBuilder:
         self._seconds += time.perf_counter() - begin
 
     def _scout(self, tables: TableBuilder, lights: StartDensity) -> None:
-        """Compare a few candidates by the tables so far; no more steps for these where a plain one is far ahead."""
+        """Compare a few candidates by the tables so far; no more steps for these where a plain one will be better."""
         parts = tables.result()
         runner = self._runner(parts, lights)
         for name in SCOUTS:

@@ -293,7 +293,11 @@ def _with_peaks(
     squared: NDArray[np.float64],
     cells: int,
 ) -> mi.Float:
-    """Tables of ``irradiance``, and of light with that integral of its ``squared`` radiance times cosine."""
+    """Tables [K * cells] of sum one, from ``shares`` of ``irradiance`` [K] and from light that comes through each cell.
+
+    Of that light ``squared`` [K] is the square of radiance times cosine, meant over the region and integrated over
+    directions, and ``coming`` [K * cells] each cell's part of it.
+    """
     region = dr.arange(mi.UInt32, dr.width(shares)) // cells
     # Of one cell: the root mean square of radiance times cosine, times the cell's solid angle.
     root = dr.sqrt(coming * dr.gather(mi.Float, _single(squared * (4.0 * np.pi / cells)), region))
