@@ -98,8 +98,9 @@ def paths(mi: Any, length: int, s: int, *, joined: bool) -> Paths:
     if joined:
         chosen &= np.array(path.target) > 0.0  # Ends that face each other.
     steps = [path.origin] if s else []
-    steps += [stores[0].read(mi.UInt32(k), row, mi.Bool(True)) for k in range(s - 1)]
-    steps += [stores[1].read(mi.UInt32(k), row, mi.Bool(True)) for k in reversed(range(t - 1))]
+    there = mi.Bool(whole)  # Nobody wrote what other paths have in memory: any bits, even those of signaling NaNs.
+    steps += [stores[0].read(mi.UInt32(k), row, there) for k in range(s - 1)]
+    steps += [stores[1].read(mi.UInt32(k), row, there) for k in reversed(range(t - 1))]
     places, normals = ([np.array(getattr(v, name)).T for v in steps] for name in "pn")
     # Lamps hang in the box, the block is darker; what the eye meets first may be the lamp itself.
     block = [(np.abs((p - [-0.3, -0.6, -0.2]) / [0.25, 0.4, 0.3]) < 1.001).all(axis=1) for p in places]
