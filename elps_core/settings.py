@@ -81,7 +81,7 @@ class ContextSettings(_Model):
 
     resolution: Annotated[int, Field(ge=4, le=1024)] = 64
     """Cells along each side of the adjoint image; columns round up to a multiple of the emitters."""
-    samples_per_cell: Annotated[int, Field(ge=1, le=4096)] = 64
+    samples_per_cell: Annotated[int, Field(ge=1, le=4096)] = 32
     """Mean number of light paths per cell of the adjoint image, over all passes."""
     epsilon: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05
     """Share of the start density that follows emitted power, so that every cell keeps a chance."""
@@ -93,8 +93,9 @@ class ContextSettings(_Model):
     """Longest path measured, in segments."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Random stream of the preprocessing pass."""
-    regions: Annotated[int, Field(ge=0, le=2**16)] = 4096
-    """Regions that the surfaces are divided into, each with its tables of directions; 0: no tables at all."""
+    regions: Annotated[int, Field(ge=0, le=2**16)] = 2048
+    """Regions that the surfaces are divided into, each with its tables of directions; 0: no tables at all. More of
+    them cost time in short renders, and pay in those of several minutes."""
     rows: Annotated[int, Field(ge=2, le=256)] = 32
     """Cells of a table from pole to pole, of equal solid angle."""
     columns: Annotated[int, Field(ge=4, le=512)] = 64

@@ -72,7 +72,7 @@ class AdjointMeasurement:
         """Measure one more batch."""
         number = len(self.batches)
         guide = start_table(self.image(), self.emission, max(self.settings.epsilon, EARLY_SHARE))
-        lights = StartDensity(self.emission, guide)
+        lights = StartDensity(self.emission, guide, cells=True)
         bdpt = Bdpt(self.scene, self.camera, lights, max_depth=self.settings.max_depth, roulette=ROULETTE)
         wanted = max(1, self.settings.samples_per_cell * self.rows * self.columns // STEPS)
         passes = -(-wanted // PATHS)
@@ -120,19 +120,44 @@ def measure(bdpt: Bdpt, paths: int, key: tuple[int, ...]) -> Table:
 
 
 def shrunk(batches: NDArray[np.float64], emitters: int) -> Table:
-    """The mean of equal batches [n, rows, columns], noisy cells drawn towards their emitter's mean.
+    """The mean of equal batches [n, rows, columns], noisy cells drawn towards what is around them.
 
-    The share kept of a cell's deviation is that of its spread over the emitter which the scatter
-    between batches does not explain (James and Stein), so a converged image stays as it is.
+    From the whole emitter down, by halves of both sides: of what cells differ in from the mean of their block, that
+    share is kept which the scatter between batches does not explain (James and Stein), one share for all blocks of an
+    emitter that are of a size. So a converged image stays as it is, and every emitter keeps its sum.
     """
     n, rows, columns = batches.shape
-    mean = np.asarray(batches.mean(axis=0))
     if n < 2:
-        return mean
-    noise = batches.var(axis=0, ddof=1) / n
-    by_emitter = mean.reshape(rows, emitters, -1)
-    centre = by_emitter.mean(axis=(0, 2), keepdims=True)
-    spread = by_emitter.var(axis=(0, 2), keepdims=True)
-    explained = noise.reshape(rows, emitters, -1).mean(axis=(0, 2), keepdims=True)
-    keep = np.clip(1.0 - np.divide(explained, spread, out=np.ones_like(spread), where=spread > 0), 0.0, 1.0)
-    return np.asarray((centre + keep * (by_emitter - centre)).reshape(rows, columns))
+        return np.asarray(batches.mean(axis=0))
+    per_emitter = columns // emitters
+    drawn = _drawn_to_blocks(batches.reshape(n, rows, emitters, per_emitter), np.ones((rows, 1, per_emitter)))
+    return drawn.reshape(rows, columns)
+
+
+def _drawn_to_blocks(sums: NDArray[np.float64], cells: NDArray[np.float64]) -> Table:
+    """Means as of :func:`shrunk`, of batches of sums [n, rows, emitters, columns of one] over ``cells`` each."""
+    n, rows, _, columns = sums.shape
+    means = sums / cells
+    mean = means.mean(axis=0)
+    if rows == columns == 1:
+        return np.asarray(mean)
+    blocks, cells_of_block = _by_blocks(sums), _by_blocks(cells)
+
+    def spread(part: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(part.repeat(2, axis=-3)[..., :rows, :, :].repeat(2, axis=-1)[..., :columns])
+
+    around = spread(blocks.mean(axis=0) / cells_of_block)
+    worth = np.divide(cells, around, out=np.zeros_like(mean), where=around > 0.0)
+    differs = np.square(mean - around) * worth
+    noise = (means - spread(blocks / cells_of_block)).var(axis=0, ddof=1) / n * worth
+    found, explained = (part.sum(axis=(0, 2), keepdims=True) for part in (differs, noise))
+    keep = np.clip(1.0 - np.divide(explained, found, out=np.ones_like(found), where=found > 0.0), 0.0, 1.0)
+    # By ratios, so that nothing becomes negative where a block itself is drawn down.
+    ratio = np.divide(mean, around, out=np.ones_like(mean), where=around > 0.0)
+    return np.asarray(spread(_drawn_to_blocks(blocks, cells_of_block)) * (1.0 + keep * (ratio - 1.0)))
+
+
+def _by_blocks(part: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums of two by two cells [..., rows, emitters, columns]; the last ones of an odd number stay apart."""
+    rows, columns = (np.arange(0, part.shape[axis], 2) for axis in (-3, -1))
+    return np.asarray(np.add.reduceat(np.add.reduceat(part, rows, axis=-3), columns, axis=-1))

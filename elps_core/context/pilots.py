@@ -24,11 +24,11 @@ from elps_core.scene.spectrum import luminance
 from elps_core.settings import ContextSettings, RenderSettings
 from elps_core.timing import KernelClock
 
-BLOCK = 1 << 16
+BLOCK = 1 << 15
 """Samples of a block."""
 POINTS = 16
 """Samples of a set, spread evenly as in renders; each pixel has two sets, whose difference tells of noise alone."""
-LEAST, MOST, SECONDS, SCOUTING = 2, 8, 0.25, 0.15
+LEAST, MOST, SECONDS, SCOUTING = 2, 16, 0.25, 0.15
 """Blocks of a candidate; no more are begun after this time, or that of a scout."""
 TURNS = 4
 """Samples of a lane, one after the other, as in renders."""

@@ -267,11 +267,12 @@ class TableBuilder:
 
     def _aim(self, lights: StartDensity, finder: GuidedDirections, areas: Doubles) -> None:
         """What mirrors and glass bring, which neither eye paths nor other light paths meet often enough."""
-        aimed = DirectionalAccumulator(finder.lookup.count, self.settings.rows, self.settings.columns)
+        aimed: DirectionalAccumulator | None = None
         for photons in caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES):
+            aimed = aimed or DirectionalAccumulator(finder.lookup.count, self.settings.rows, self.settings.columns)
             _enter(photons, finder, aimed, 2)
             aimed.close_batch(areas)
-        if aimed.evidence.any():
+        if aimed and aimed.evidence.any():
             self._made.sources[CAUSTICS] = aimed
 
     def _walk(

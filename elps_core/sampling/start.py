@@ -35,10 +35,11 @@ class StartDensity:
     """A piecewise constant density over F's unit square, drawn by the 2D inversion method.
 
     ``table`` [rows, columns] holds non-negative weights; ``columns`` is a multiple of the emitters.
-    Every cell keeps a positive chance whatever the table says.
+    Every cell keeps a positive chance whatever the table says. Which cell an eye path has met is told where the density
+    asks for it, or the caller does by ``cells``; else some cell of the emitter stands for all of them.
     """
 
-    def __init__(self, emission: Emission, table: NDArray[np.floating[Any]]) -> None:
+    def __init__(self, emission: Emission, table: NDArray[np.floating[Any]], *, cells: bool = False) -> None:
         rows, columns = table.shape
         if columns % emission.count:
             raise ValueError("columns must be a multiple of the emitters")
@@ -56,8 +57,9 @@ class StartDensity:
         density = self.probability * (rows * self.per_emitter)
         self._density = on_device(mi.Float, density)
         by_emitter = density.reshape(emission.count, -1)
-        self.flat = bool(np.all(by_emitter.max(axis=1) <= by_emitter.min(axis=1) * (1 + 1e-4)))
-        """Whether the density is constant on each emitter, so that F^-1 is not needed."""
+        even = bool(np.all(by_emitter.max(axis=1) <= by_emitter.min(axis=1) * (1 + 1e-4)))
+        self.flat = even and not cells
+        """Whether the density is constant on each emitter, and F^-1 is not needed."""
         self._mean = on_device(mi.Float, by_emitter.mean(axis=1))
         self._departures: Departures | None = None
 

@@ -20,6 +20,7 @@ from elps_core.choice import (
     MOST_GAIN,
     PILOTS,
     SCOUTS,
+    STILL,
     WHOLE_TRAINING,
     Choice,
     Pilot,
@@ -187,8 +188,8 @@ def clear(**efficiencies: float) -> list[Pilot]:
     ("efficiencies", "wins"),
     [
         ({}, True),
-        ({"pe": (1.01 / (1.0 - WHOLE_TRAINING)) ** 0.5}, False),  # As much again as it has won
-        ({"pe": (0.99 / (1.0 - WHOLE_TRAINING)) ** 0.5}, True),
+        ({"pe": (1.01 / (1.0 - WHOLE_TRAINING)) ** (1.0 / (1.0 + STILL))}, False),  # It goes on as it has begun
+        ({"pe": (0.99 / (1.0 - WHOLE_TRAINING)) ** (1.0 / (1.0 + STILL))}, True),
         ({"pp": 1.01}, True),
         ({"bp": 1.01}, True),
         ({"blbcu": 1.01}, True),

@@ -131,6 +131,47 @@ def test_shrinkage_keeps_signal_and_removes_noise() -> None:
     assert shrunk(noisy, 2).std() < 0.3 * noisy.mean(axis=0).std()
 
 
+@pytest.mark.parametrize(("rows", "columns", "emitters"), [(16, 16, 1), (16, 32, 2), (9, 15, 3), (1, 7, 1), (1, 4, 4)])
+def test_shrinkage_keeps_the_sum_of_every_emitter(rows: int, columns: int, emitters: int) -> None:
+    from elps_core.context.adjoint import shrunk
+
+    batches = np.random.default_rng(7).exponential(size=(4, rows, columns)) ** 3
+    batches[:, :, : columns // emitters] *= 0.0 if emitters > 1 else 1.0  # One gives nothing
+    drawn = shrunk(batches, emitters)
+    assert (drawn >= 0.0).all()
+
+    def sums(image: Array) -> Array:
+        return np.asarray(image.reshape(rows, emitters, -1).sum(axis=(0, 2)))
+
+    assert sums(drawn) == pytest.approx(sums(batches.mean(axis=0)), rel=1e-12)
+
+
+def test_shrinkage_finds_what_is_bright_in_noise() -> None:
+    """A quarter of a lamp that counts, by records as rare as they are: each cell alone is hardly known."""
+    from elps_core.context.adjoint import shrunk
+
+    rng, signal = np.random.default_rng(8), np.full((64, 64), 0.1)
+    signal[:32, 32:] = 1.0
+    batches = rng.poisson(signal, size=(8, 64, 64)).astype(float)
+    off = np.square(shrunk(batches, 1) / signal - 1.0).mean()
+    assert off < 0.05 * np.square(batches.mean(axis=0) / signal - 1.0).mean()
+    assert off < 0.05
+
+
+def test_eye_paths_tell_where_they_met_a_lamp_in_the_first_batch_too(
+    mi: Any, camera_dict: Callable[..., dict[str, Any]]
+) -> None:
+    """The density is flat on a lamp then, so that nobody else would ask for the cell."""
+    lamp = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 0, -1]),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
+    }
+    scene = mi.load_dict({"type": "scene", "sensor": camera_dict([0, 0, 2], [0, 0, -1]), "lamp": lamp})
+    first = measurement(scene, samples_per_cell=512).batches[0]
+    assert first.max() < 4.0 * first.mean()
+
+
 def test_a_context_of_other_lights_is_refused(two_lights: Any, mi: Any) -> None:
     from elps_core.context.build import start_density
     from elps_core.context.store import GlobalContext

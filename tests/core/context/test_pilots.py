@@ -17,8 +17,9 @@ from elps_core.settings import ContextSettings, RenderSettings
 SETTINGS = ContextSettings(
     resolution=8, samples_per_cell=16, max_depth=5, regions=32, rows=8, columns=16, paths=1 << 16, tolerance=0.0
 )
-SIDE, SPP, IMAGES = 96, 8, 12
-"""Of the film, as large as the pilot image; and of the renders that pilots are held against."""
+SIDE, SPP, IMAGES = 96, 16, 8
+"""Of the film, as large as the pilot image; and of the renders that pilots are held against: in sets of samples
+as large as theirs, and as evenly spread."""
 
 
 @pytest.fixture(autouse=True)
@@ -75,7 +76,7 @@ def test_training_stops_where_scouts_see_that_tables_do_not_pay(
     pilots = [Pilot(**entry) for entry in statistics[PILOTS]]
     if not clear:
         assert statistics["table_paths"] == 1 << 19
-        assert sorted(pilot.name for pilot in pilots) == sorted(CANDIDATES)
+        assert {pilot.name for pilot in pilots} >= set(SCOUTS)  # Joined ones where they may pay, by the clock
     else:
         assert statistics["table_paths"] == sum(FIRST_PATHS << step for step in range(SCOUTED_AFTER))
         assert builder.steps < most
@@ -122,7 +123,7 @@ def test_variance_and_mean_are_those_of_renders(box: LoadedScene, name: str) -> 
     variance = float((images.var(axis=0, ddof=1) * SPP * np.square(inverse)).mean())
     mean = float((images.mean(axis=0) * inverse).mean())
     assert pilot["mean"] == pytest.approx(mean, rel=0.05)
-    assert pilot["variance"] == pytest.approx(variance, rel=0.3)
+    assert pilot["variance"] == pytest.approx(variance, rel=0.25)
 
 
 def test_auto_renders_what_pilots_chose(box: LoadedScene) -> None:
