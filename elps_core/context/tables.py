@@ -40,7 +40,7 @@ from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
 from elps_core.sampling.context import PixelWorth
-from elps_core.sampling.direction import Guide, GuidedDirections
+from elps_core.sampling.direction import ENOUGH, NEVER, Guide, GuidedDirections
 from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
@@ -295,7 +295,9 @@ class TableBuilder:
             light = None
             if number > 1 and not known:
                 light = Guide(DirectionalField(finder.lookup, self._finished("importance")), TRAINING_SHARE)
-            directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE), light)
+            # The kernel of the steps that follow, with roulette by albedo.
+            enough = NEVER if number < BY_ALBEDO else ENOUGH
+            directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE), light, enough=enough)
         if number:
             # As if there were no noise: roulette is to end few paths by tables that still change.
             worth = PixelWorth(pilot.image(), 0.0, size)
@@ -306,7 +308,7 @@ class TableBuilder:
             self.camera,
             lights,
             max_depth=self.settings.max_depth,
-            roulette=RouletteRule("albedo" if number < BY_ALBEDO else "context", 5),
+            roulette=RouletteRule("context" if number else "albedo", 5),
             strategies=strategies.path(),
             directions=directions,
             worth=worth,

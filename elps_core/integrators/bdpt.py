@@ -86,9 +86,11 @@ class _Samples:
         count = dr.width(position)
         lanes = -(-count // turns)
         u_wavelength = stream.wavelengths(count, turns) if mi.is_spectral else mi.Float(0.5)
+        shared = Turns(count, lanes)
         if turns > 1:
-            dr.eval(position, u_wavelength, stream)
-        return _Samples(position, u_wavelength, count, lanes, Turns(count, lanes))
+            # The lanes' first samples, too: an eye walk is one kernel, whether a light walk came before or not.
+            dr.eval(position, u_wavelength, stream, shared.first)
+        return _Samples(position, u_wavelength, count, lanes, shared)
 
     def at(self, sample: mi.UInt32, active: mi.Bool) -> tuple[mi.Point2f, mi.Float]:
         """Film position of a sample, and the number that chooses its wavelengths."""

@@ -29,6 +29,8 @@ from elps_core.scene.spectrum import luminance
 
 ENOUGH = 64
 """Records from which on a region's table is taken to know what a path can expect."""
+NEVER = 0xFFFFFFFF
+"""In their place: no table is taken to know."""
 
 
 class Directions:
@@ -81,8 +83,10 @@ class Guide:
 class GuidedDirections(Directions):
     """Mixtures of scattering and tables; a kind of path without a guide keeps to scattering."""
 
-    def __init__(self, lookup: RegionLookup, eye: Guide | None, light: Guide | None) -> None:
+    def __init__(self, lookup: RegionLookup, eye: Guide | None, light: Guide | None, *, enough: int = ENOUGH) -> None:
+        """``enough`` records, as of :data:`ENOUGH`; one kernel for any number of them."""
         self.lookup = lookup
+        self._enough = dr.opaque(mi.UInt32, enough)
         self._guides: dict[Side, Guide | None] = {"eye": eye, "light": light}
         self._shares: dict[Side, mi.Float] = {
             side: dr.opaque(mi.Float, guide.share)
@@ -135,7 +139,7 @@ class GuidedDirections(Directions):
         side: Side,
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.Bool]:
-        """By the region's table, where it rests on :data:`ENOUGH` records."""
+        """By the region's table, where it rests on enough records."""
         guide = self._guides[side]
         if guide is None:
             return super().expected(si, direction, cos_out, beta, side, active)
@@ -145,7 +149,7 @@ class GuidedDirections(Directions):
         by_direction = guide.field.pdf(region, direction, active) / cos_out
         incident = guide.field.irradiance(region, active) * dr.maximum(by_direction, dr.inv_pi)
         value = luminance(mi.UnpolarizedSpectrum(beta), si.wavelengths) * incident
-        return value, active & (guide.field.evidence(region, active) >= ENOUGH)
+        return value, active & (guide.field.evidence(region, active) >= self._enough)
 
     def region(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:
         """As of :class:`Directions`, by the surface's side that ``wi`` is on."""
