@@ -61,7 +61,7 @@ CLEAR = 100.0
 ajar, tables do not know it yet."""
 WHOLE_TRAINING = 0.1
 """Part of a render's time that the rest of training takes, which guided ones have to win back."""
-HOPELESS = 3.0
+HOPELESS = 1.5
 """Times as efficient as a candidate another is, where that candidate is not measured again."""
 DECIDED = 1.15
 """The same, where only unguided candidates are left: scouts tell these apart as well as pilots do."""

@@ -57,16 +57,23 @@ def settings_from(given: dict[str, Any], size: str | None, assignments: list[str
         name, separator, text = assignment.partition("=")
         if not separator:
             raise SettingsRejected("give --set as NAME=VALUE, for example pssmlt.chains=4096")
-        try:
-            values[name] = json.loads(text)
-        except ValueError:
-            values[name] = text
+        values[name] = _value(text)
     preset = values.pop("preset", None)
     try:
         start = RenderSettings.model_validate({"preset": preset} if preset else {})
     except ValidationError as error:
         raise SettingsRejected(first_problem(error)) from None
     return with_overrides(start, values)
+
+
+def _value(text: str) -> Any:
+    """A number (.5, too), true or false, else a word."""
+    for read in (json.loads, float):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text
 
 
 def stop_from(spp: int | None, seconds: float | None, error: float | None) -> StopCriterion:

@@ -261,12 +261,12 @@ def test_what_tables_have_left_behind_is_not_measured_again() -> None:
     guided = [name for name in every if ENLIGHTENED.items() <= CANDIDATES[name].items()]
     planned = worth_measuring(every, said)
     assert planned[: len(guided)] == guided
-    pilots = [Pilot(**entry) for entry in statistics(pe=26.0)[PILOTS] if entry["name"] in guided]
+    pilots = [Pilot(**entry) for entry in statistics(pe=0.97 * 9.0 * HOPELESS)[PILOTS] if entry["name"] in guided]
     assert worth_measuring(every, said, pilots[:-1]) == planned
     assert worth_measuring(every, said, pilots) == [*guided, "bdpt, plain"]
     more = [*pilots, Pilot(**ENTRY | {"name": "bdpt, plain", "variance": 1.0, "mean": 50.0})]
     assert worth_measuring(every, said, more) == [*guided, "bdpt, plain"]
-    far = [Pilot(**entry) for entry in statistics(pe=28.0)[PILOTS] if entry["name"] in guided]
+    far = [Pilot(**entry) for entry in statistics(pe=1.03 * 9.0 * HOPELESS)[PILOTS] if entry["name"] in guided]
     assert worth_measuring(every, said, far) == guided
 
 

@@ -33,7 +33,7 @@ def test_every_setting_of_an_algorithm_can_be_set_by_name() -> None:
         "bdpt.weighted": "false",
         "pssmlt.over": "bdpt",
         "pssmlt.multiplexed": "true",
-        "pssmlt.large_step": "0.3",
+        "pssmlt.large_step": ".3",
         "pssmlt.bootstrap": "4096",
         "pssmlt.chains": "512",
     }
