@@ -48,9 +48,11 @@ def context_of(box: LoadedScene) -> GlobalContext:
 
 
 def test_every_candidate_has_a_pilot(box: LoadedScene) -> None:
+    from elps_core.context.pilots import BLOCK, LEAST
+
     pilots = context_of(box).statistics[PILOTS]
     assert sorted(entry["name"] for entry in pilots) == sorted(CANDIDATES)
-    assert all(entry["microseconds"] > 0.0 and entry["samples"] >= 2 << 16 for entry in pilots)
+    assert all(entry["microseconds"] > 0.0 and entry["samples"] >= LEAST * BLOCK for entry in pilots)
 
 
 @pytest.mark.parametrize("clear", [1e9, 0.0], ids=["plain wins", "plain loses"])
