@@ -202,7 +202,7 @@ def test_training_stops_where_a_plain_one_is_ahead(efficiencies: dict[str, float
 
 
 @pytest.mark.parametrize("guided", ["pe", "beu"])
-def test_tables_are_to_win_again_what_they_have_won(guided: str) -> None:
+def test_tables_go_on_as_they_have_begun(guided: str) -> None:
     """Here their paths have half of the variance, and take twice the time and more."""
     names = {"pp": "path, plain", "pe": "path, enlightened", "beu": "bdpt, enlightened, unjoined"}
     for slower, wins in ((3.9 * (1.0 - WHOLE_TRAINING), False), (4.1 * (1.0 - WHOLE_TRAINING), True)):
