@@ -19,14 +19,16 @@ from elps_core.settings import BdptSettings, ContextSettings, PathSettings, Rend
 
 PLAIN = {"direction_sampling": "scattering", "roulette": "albedo"}
 """What an algorithm does without the context's tables."""
-LIT = {"light_sampling": "context", **PLAIN}
-"""What it does with their lights alone: regions know their lamps long before they know directions."""
+LIT = {"light_sampling": "context", "direction_sampling": "scattering", "roulette": "context"}
+"""What it does with all but their directions: regions know their lamps, and how much light there is, long before they
+know where it comes from."""
 ENLIGHTENED = {"direction_sampling": "context", "roulette": "context"}
 """What it does with them."""
 UNJOINED = {"bdpt.eye_paths": 4, "bdpt.joins": False}
 """Light paths that only bring to the sensor what they meet, one for four eye paths."""
 CANDIDATES: dict[str, dict[str, Any]] = {
     "path, plain": {"integrator": "path", **PLAIN},
+    "path, lit by context": {"integrator": "path", **LIT},
     "path, enlightened": {"integrator": "path", **ENLIGHTENED},
     "bdpt, plain": {"integrator": "bdpt", **PLAIN},
     "bdpt, enlightened": {"integrator": "bdpt", **ENLIGHTENED, "bdpt.guided_light": True},
@@ -37,19 +39,19 @@ CANDIDATES: dict[str, dict[str, Any]] = {
 """What pilots compare, and ``auto`` chooses from."""
 JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
 """Those that may win where joining subpaths pays, and cost the more where it does not."""
-LIT_ALONE = "bdpt, lit by context, unjoined"
+LIT_PATH, LIT_UNJOINED = "path, lit by context", "bdpt, lit by context, unjoined"
 EYE_PATHS, WITH_CAUSTICS = "path, enlightened", "bdpt, enlightened, unjoined"
 """The same eye paths, alone and with the light paths that can tell of their variance."""
 FORMS = {
     "bdpt": ("bdpt, plain", "bdpt, enlightened"),
-    "unjoined": ("bdpt, plain", LIT_ALONE, WITH_CAUSTICS),
-    "path": ("path, plain", EYE_PATHS),
+    "unjoined": ("bdpt, plain", LIT_UNJOINED, WITH_CAUSTICS),
+    "path": ("path, plain", LIT_PATH, EYE_PATHS),
 }
 """Whose samples chains may walk over, and the candidates that speak for each: a plain one first, enlightened last."""
-SCOUTS = ("path, plain", EYE_PATHS, "bdpt, plain", LIT_ALONE, WITH_CAUSTICS)
+SCOUTS = ("path, plain", LIT_PATH, EYE_PATHS, "bdpt, plain", LIT_UNJOINED, WITH_CAUSTICS)
 """Those that are compared early in training already, so that it can stop where tables will not pay; the last one only
 where the others have not decided that."""
-UNGUIDED = {EYE_PATHS: "path, plain", WITH_CAUSTICS: LIT_ALONE}
+UNGUIDED = {EYE_PATHS: LIT_PATH, WITH_CAUSTICS: LIT_UNJOINED}
 """What the guided ones of them would be without directions by table."""
 MOST_GAIN = 2.0
 """How many times smaller tables can still make their variance, at most."""
@@ -281,14 +283,17 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
     else:
         forms = _forms(settings.integrator, settings.bdpt)
     if settings.light_sampling not in ("adjoint", "context"):
-        forms = tuple(form for form in forms if form != LIT_ALONE)
+        forms = tuple(form for form in forms if form not in (LIT_PATH, LIT_UNJOINED))
     best = max(reversed(forms), key=lambda form: _of(form, efficiency))
     if best == forms[-1]:
         return Choice(settings, f"{title}, enlightened", pilots)
-    changes: dict[str, Any] = {**(LIT if best == LIT_ALONE else PLAIN), "context.adaptive": False}
+    lit = best in (LIT_PATH, LIT_UNJOINED)
+    changes: dict[str, Any] = {**(LIT if lit else PLAIN), "context.adaptive": False}
     if settings.roulette != "context":
         del changes["roulette"]
-    name = "lit by context" if best == LIT_ALONE else "plain"
+    elif settings.integrator == "pssmlt":  # Chains are not paid where paths end, and do better without
+        changes["roulette"] = "albedo"
+    name = "lit by context" if lit else "plain"
     return Choice(with_overrides(settings, changes), f"{title}, {name}", pilots)
 
 

@@ -177,6 +177,11 @@ class DirectionalAccumulator:
         lone = np.array(self._squares) * np.square(_reciprocal(sums))
         return Estimate(shares, irradiance, np.where(each.min(axis=0) > 0.0, paired, lone))
 
+    def moments(self) -> NDArray[np.float64]:
+        """Of the closed batches, by region [3, K]: number of records, sum of weights, sum of their squares."""
+        sums = dr.block_sum(self._sums[0] + self._sums[1], self.map.cells)
+        return np.stack([self.visits, np.array(sums, np.float64), np.array(self._squares, np.float64)])
+
     def relative_error(self) -> float:
         """Root mean square error of a region's table over its root mean square, regions by how often they were met.
 

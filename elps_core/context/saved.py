@@ -50,6 +50,10 @@ class TableState:
     """By names of :data:`SOURCES`, :data:`DEPARTURES` and :data:`CAUSTICS`, once tables are filled."""
     lights: Doubles = field(default_factory=lambda: np.zeros((0, 0)))
     """What light sampling found, by region and piece of the lights."""
+    colours: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
+    """Light by region, in linear RGB, as photons have brought it."""
+    moments: Doubles = field(default_factory=lambda: np.zeros((3, 0)))
+    """Of what eye paths have found before the last step, see :meth:`DirectionalAccumulator.moments`."""
     known: DirectionalParts | None = None
     """Tables of another camera in the same surroundings, in place of a clustering and of sums of radiance."""
 
@@ -61,6 +65,8 @@ class TableState:
             "newest": self.pilot.newest,
             "lights": self.lights,
             "density": self.density,
+            "colours": self.colours,
+            "moments": self.moments,
         }
         if self.clustering is not None:
             parts |= {f"clustering.{name}": array for name, array in self.clustering.arrays().items()}
@@ -83,6 +89,7 @@ class TableState:
         try:
             done, paths, particles = (int(n) for n in arrays["counts"])
             pilot, newest, density, lights = (arrays[name] for name in ("pilot", "newest", "density", "lights"))
+            colours, moments = arrays["colours"], arrays["moments"]
         except (KeyError, ValueError):
             raise ContextMismatch(UNFIT) from None
         saved = _part(arrays, "clustering")
@@ -96,7 +103,7 @@ class TableState:
         first = 0 if known else first
         count = known.regions.count if known else clustering.result().count if clustering and found else 0
         pieces = known.lights.shape[1] if known else lights.shape[-1]
-        numbers = [pilot, newest, density, lights, *([] if areas is None else [areas])]
+        numbers = [pilot, newest, density, lights, colours, moments, *([] if areas is None else [areas])]
         if (
             not 0 <= done <= steps
             or (done > 0 and not known) != (clustering is not None)
@@ -106,6 +113,8 @@ class TableState:
             or (bool(sources) or areas is not None) != (done > first)
             or (areas is not None and areas.shape != (count,))
             or (lights.size > 0 and (lights.ndim != 2 or len(lights) != count))
+            or colours.shape not in ((0, 3), (count, 3))
+            or moments.shape not in ((3, 0), (3, count))
             or any(
                 (source.regions, source.map.cells) != (pieces if name == DEPARTURES else count, cells)
                 for name, source in sources.items()
@@ -116,6 +125,7 @@ class TableState:
         self.done, self.paths, self.particles = done, paths, particles
         self.pilot.sums, self.pilot.newest = pilot.copy(), newest.copy()
         self.density, self.lights = density.copy(), lights.copy()
+        self.colours, self.moments = colours.copy(), moments.copy()
         self.clustering, self.areas, self.sources, self.known = clustering, areas, sources, known
 
 

@@ -18,7 +18,7 @@ from elps_core.context.regions import Regions
 from elps_core.errors import ContextMismatch
 from elps_core.settings import ContextSettings
 
-FORMAT = "elps-context-3"
+FORMAT = "elps-context-4"
 """Name and version of the file format: safetensors with the facts as JSON metadata."""
 MAX_HEADER = 1 << 20
 """Bytes of metadata that a file may claim; ours have a few hundred."""
@@ -56,6 +56,10 @@ class DirectionalParts:
     """Region that the middle of each of the pilot's pixels shows [height, width]; for eyes only."""
     density: NDArray[np.float32]
     """Photons and importons seen from above [2, n, n], in shares of all; for eyes only."""
+    prospects: NDArray[np.float32] | None = None
+    """What eye paths find that go on from a region [K, 4]: the mean of radiance times cosine over all directions, in
+    linear RGB of the luminance that eye paths have found, and the standard deviation of one path over the mean; None
+    where no eye paths have filled the tables."""
     departures: DirectionalTables | None = None
     """Where light that reaches the image leaves the emitters' pieces to [pieces, rows, columns]; None: not measured."""
 
@@ -66,6 +70,7 @@ class DirectionalParts:
             "radiance": self.radiance.arrays(),
             "importance": self.importance.arrays(),
             **({"departures": self.departures.arrays()} if self.departures else {}),
+            **({} if self.prospects is None else {"prospects": {"eye": self.prospects}}),
         }
         named = {f"{part}.{name}": array for part, owned in parts.items() for name, array in owned.items()}
         noise = np.array([self.noise], np.float32)
@@ -93,6 +98,7 @@ class DirectionalParts:
         radiance, importance = (DirectionalTables.from_arrays(part(name)) for name in ("radiance", "importance"))
         leaving = part("departures")
         departures = DirectionalTables.from_arrays(leaving) if leaving else None
+        prospects = part("prospects").get("eye")
         try:
             pilot, lights, view, density = (arrays[name] for name in ("pilot", "lights", "view", "density"))
             noise = float(arrays["noise"][0])
@@ -113,9 +119,17 @@ class DirectionalParts:
             or radiance.shape[0] != regions.count
             or importance.shape != radiance.shape
             or (departures and departures.shape[0] != lights.shape[1])
+            or (prospects is not None and not _are_prospects(prospects, regions.count))
         ):
             raise ContextMismatch("the tables of the context are damaged: build it again")
-        return DirectionalParts(regions, radiance, importance, pilot, noise, lights, view, density, departures)
+        return DirectionalParts(
+            regions, radiance, importance, pilot, noise, lights, view, density, prospects, departures
+        )
+
+
+def _are_prospects(array: NDArray[Any], regions: int) -> bool:
+    of_size = array.shape == (regions, 4) and array.dtype == np.float32
+    return of_size and bool(np.isfinite(array).all() and (array >= 0.0).all())
 
 
 @dataclass(frozen=True)

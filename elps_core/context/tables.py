@@ -28,6 +28,7 @@ from elps_core.context.gather import (
 )
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.pilot_image import PilotImage, regions_in_view
+from elps_core.context.prospects import prospects_of
 from elps_core.context.regions import Regions
 from elps_core.context.saved import CAUSTICS, DEPARTURES, SOURCES, Arrays, Doubles, TableState
 from elps_core.context.store import DirectionalParts
@@ -188,6 +189,7 @@ class TableBuilder:
             lights=known.lights if known else self._light_tables(),
             view=regions_in_view(self.scene, self.camera, self.regions, pilot.shape),
             density=self._made.density,
+            prospects=self._prospects(),
             departures=self._departures(),
         )
 
@@ -199,6 +201,16 @@ class TableBuilder:
         group = np.zeros((int(parents.max()) + 1, own.shape[1]))
         np.add.at(group, parents, own)
         return np.asarray((1.0 - LENT) * own + LENT * _shares(group)[parents], np.float32)
+
+    def _prospects(self) -> NDArray[np.float32] | None:
+        """What eye paths find, where they have filled the tables."""
+        if self._made.known:
+            return self._made.known.prospects
+        source, moments = self._made.sources.get("radiance"), self._made.moments
+        if source is None or not moments.size:
+            return None
+        irradiance = source.estimate().irradiance
+        return prospects_of(irradiance, source.moments() - moments, self._groups(), self._made.colours)
 
     def _departures(self) -> DirectionalTables | None:
         source = self._made.sources.get(DEPARTURES)
@@ -314,7 +326,7 @@ class TableBuilder:
             worth=worth,
         )
         pilot.begin_step()
-        recorder = WalkRecorder(bdpt, finder)
+        recorder, regions = WalkRecorder(bdpt, finder), finder.lookup.count
         grid = (self.settings.rows, self.settings.columns)
         direct = on_device(mi.Float, self._made.lights)
         if not dr.width(direct):
@@ -324,6 +336,9 @@ class TableBuilder:
         leaving = self._made.sources.get(DEPARTURES)
         seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.lookup.count, *grid)
         photons = self._made.sources.get("photons")
+        if not known:
+            self._made.moments = seen.moments()
+        colours = on_device(mi.Float, self._made.colours if self._made.colours.size else np.zeros((regions, 3)))
         # Two passes at least, each a batch, so that noise is known.
         passes = max(2, -(-paths * self.settings.max_depth // RECORDS))
         here = -(-paths // passes)
@@ -340,8 +355,10 @@ class TableBuilder:
             if photons is None:
                 continue
             lit = max(1, here // LIGHT_PART)
-            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons)
+            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours)
             photons.close_batch(lit * areas)
+        if not known:
+            self._made.colours = np.array(colours, np.float64).reshape(regions, 3)
         if pieces(lights) and not known:
             self._made.lights = np.array(direct, np.float64).reshape(finder.lookup.count, -1)
 

@@ -165,8 +165,11 @@ class WalkRecorder:
         dr.eval(radiance.state)
         return found
 
-    def light_paths(self, paths: int, stream: Stream, radiance: DirectionalAccumulator) -> None:
-        """``paths`` from the lights, in the lanes of ``stream``; every vertex is a photon [thesis (5.11)]."""
+    def light_paths(self, paths: int, stream: Stream, radiance: DirectionalAccumulator, colours: mi.Float) -> None:
+        """``paths`` from the lights, in the lanes of ``stream``; every vertex is a photon [thesis (5.11)].
+
+        Where light has colours their sums go to ``colours`` [regions * 3], in linear RGB.
+        """
         bdpt = self.bdpt
         lanes = dr.width(stream)
         turns = Turns(paths, lanes)
@@ -183,7 +186,12 @@ class WalkRecorder:
             # In units of white, as the radiance is that eye paths find over their throughput.
             weight = luminance(mi.UnpolarizedSpectrum(vertex.beta) * light.scale, walk.ray.wavelengths) / white()
             # Light that comes straight from a lamp is the business of light sampling.
-            radiance.add(region, vertex.si.to_world(vertex.si.wi), weight, smooth & (vertex.depth > 1))
+            indirect = smooth & (vertex.depth > 1)
+            radiance.add(region, vertex.si.to_world(vertex.si.wi), weight, indirect)
+            if mi.is_rgb:
+                for k, amount in enumerate(mi.UnpolarizedSpectrum(vertex.beta)):
+                    some = indirect & dr.isfinite(amount)
+                    dr.scatter_reduce(dr.ReduceOp.Add, colours, amount, 3 * region + k, some)
             return light
 
         def renew(walk: Walk, light: _Light) -> tuple[Walk, _Light]:
@@ -207,7 +215,7 @@ class WalkRecorder:
             renew=renew,
             going=lambda state: turns.left(state.path),
         )
-        dr.eval(radiance.state)
+        dr.eval(radiance.state, colours)
 
 
 def _bright(value: mi.Spectrum, wavelengths: mi.Spectrum) -> mi.Float:

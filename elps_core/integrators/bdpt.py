@@ -246,6 +246,9 @@ class Bdpt:
             fresh = _Eye(dr.zeros(mi.Spectrum), mi.UInt32(NOWHERE), sample)
             return walk.where(more, begin(sample, walk.stream, more)), dr.select(ended, fresh, eye)
 
+        def pay(eye: _Eye, amount: mi.Spectrum) -> _Eye:
+            return replace(eye, radiance=eye.radiance + amount)
+
         first, lanes = samples.turns.first, samples.lanes
         eye = random_walk(
             self.scene,
@@ -257,6 +260,7 @@ class Bdpt:
             roulette=self.roulette,
             heuristic=self.heuristic,
             directions=self.directions,
+            pay=pay,
             renew=None if samples.single else renew,
             going=None if samples.single else samples.going,
             label="elps eye walk",

@@ -62,18 +62,22 @@ def paths_of(
     by_context = "context" in (settings.direction_sampling, settings.light_sampling)
     if parts and parts.departures and strategies.light_paths and by_context:
         lights = lights.departing(Departures(parts.departures, lights.rows * lights.columns))
+    # Chains ask for samples without negative parts, and joined paths find what tables do not count.
+    known = parts if settings.roulette == "context" else None
+    payable = settings.integrator != "pssmlt" and not strategies.joins
+    pays = payable and known is not None and known.prospects is not None
     return Bdpt(
         scene,
         camera,
         lights,
         max_depth=settings.max_depth,
-        roulette=RouletteRule(settings.roulette, settings.rr_depth),
+        roulette=RouletteRule(settings.roulette, settings.rr_depth, pays),
         strategies=strategies,
         heuristic=settings.heuristic,
         directions=_directions(settings, strategies, parts),
         thinning=settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1,
         region_lights=region_lights,
-        worth=PixelWorth(parts.pilot, parts.noise, camera.size) if parts and settings.roulette == "context" else None,
+        worth=PixelWorth(known.pilot, known.noise, camera.size, pays=pays) if known else None,
     )
 
 

@@ -14,8 +14,14 @@ MAX_SURVIVAL = 0.95
 MIN_SURVIVAL = 0.05
 """Lower limit, so that a survivor's weight stays bounded."""
 MOST_RAISED = 1.5
-"""Upper limit by context of what roulette makes of a path's weight; roulette by albedo keeps to 1. On the maze with
-tables of 2048 regions the variance was a third greater with 3 than with 1; on the door there was no difference."""
+"""Upper limit by context of what roulette makes of a path's weight, where nothing is paid; roulette by albedo keeps to
+1. On the maze with tables of 2048 regions the variance was a third greater with 3 than with 1; on the door there was
+no difference."""
+LEAST_PAID = 0.2
+"""Lower limit of the survival probability of paths that are paid where they end: what tables do not know of is
+multiplied by its inverse."""
+PAID_FROM = 2
+"""Depth from which on paths may end that are paid, if no other is asked for that is smaller."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +30,9 @@ class RouletteRule:
 
     kind: Roulette
     start: int
+    pays: bool = False
+    """By context: whether a path that ends is paid what the table expects it to find, and one that goes on pays for it.
+    Then it is what paths find beyond that alone that roulette makes noise of, and they may end early."""
 
     def survival(self, beta: mi.Spectrum, eta: mi.Float, albedo: mi.Spectrum, depth: mi.UInt32) -> mi.Float:
         """Probability to continue after a scattering event at ``depth``.
@@ -45,3 +54,12 @@ class RouletteRule:
         more than weights should grow. ``otherwise`` holds where nothing is known.
         """
         return dr.select(known, dr.clip(worth, dr.minimum(raised / MOST_RAISED, 1.0), 1.0), otherwise)
+
+    def paid(self, spread: mi.Float, depth: mi.UInt32, known: mi.Bool, otherwise: mi.Float) -> tuple[mi.Float, mi.Bool]:
+        """Probability to continue of paths that are paid where they end, and which are.
+
+        In proportion to ``spread``, the standard deviation of what a path finds in units of its pixel's, which is where
+        the product of variance and time is least if the rest of the path takes most of the time.
+        """
+        asked = known & (depth >= min(self.start, PAID_FROM))
+        return dr.select(asked, dr.clip(spread, LEAST_PAID, 1.0), otherwise), asked

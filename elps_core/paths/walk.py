@@ -26,6 +26,8 @@ Leave: TypeAlias = "Callable[[Walk, Vertex, Scattered, State, mi.Bool], State]"
 """Called when a direction has been chosen, with the walk that will take it (active where it goes on), the vertex that
 it leaves, the event, the caller's state, and which lanes were asked. Returns the new state."""
 
+Pay: TypeAlias = "Callable[[State, mi.Spectrum], State]"
+"""Adds what roulette pays, which is negative for a path that goes on, to the caller's state."""
 Renew: TypeAlias = "Callable[[Walk, State], tuple[Walk, State]]"
 """Called after every step; may put another walk in place of one that has ended, and the state that it starts with."""
 Going: TypeAlias = "Callable[[State], mi.Bool]"
@@ -71,13 +73,15 @@ def random_walk(
     label: str,
     directions: Directions = SCATTERING,
     leave: Leave[State] | None = None,
+    pay: Pay[State] | None = None,
     renew: Renew[State] | None = None,
     going: Going[State] | None = None,
 ) -> State:
     """Walk from ``start`` over at most ``max_depth`` segments, calling ``visit`` after each.
 
-    ``side`` is where the walk starts: from the lights the scattering is adjoint. Returns the caller's
-    state after the last visit. One symbolic loop, hence part of one kernel.
+    ``side`` is where the walk starts: from the lights the scattering is adjoint. With ``pay`` roulette by context
+    may pay for what it ends. Returns the caller's state after the last visit. One symbolic loop, hence part of one
+    kernel.
     """
 
     def extend(walk: Walk, state: State) -> tuple[Vertex, State, mi.Bool]:
@@ -110,12 +114,19 @@ def random_walk(
         survival = roulette.survival(beta, eta, event.albedo, vertex.depth)
         kept = dr.select(vertex.depth >= roulette.start, dr.minimum(dr.max(event.albedo), 1.0), 1.0)
         if roulette.kind == "context":
-            value, known = directions.expected(si, direction, cos_out, beta, side, active)
-            survival = roulette.by_worth(
-                value * walk.worth, walk.raised * kept, known & (vertex.depth >= roulette.start), survival
-            )
+            outlook = directions.expected(si, event, direction, cos_out, beta, side, active)
+            if pay and roulette.pays:
+                spread = outlook.value * outlook.deviation * walk.worth
+                survival, paid = roulette.paid(spread, vertex.depth, outlook.known, survival)
+            else:
+                known = outlook.known & (vertex.depth >= roulette.start)
+                survival = roulette.by_worth(outlook.value * walk.worth, walk.raised * kept, known, survival)
         if roulette.kind != "none":
-            active = active & (walk.stream.next_1d(even=False) < survival)
+            before, active = active, active & (walk.stream.next_1d(even=False) < survival)
+        if pay and roulette.pays:
+            # The mean of this is nothing, whatever is paid: 1 at the end, and 1 - 1 / q with probability q.
+            amount = outlook.light * dr.select(active, 1.0 - dr.rcp(survival), 1.0)
+            state = pay(state, dr.select(before & paid, amount, 0.0))
         after = Walk(
             ray=si.spawn_ray(direction),
             beta=beta / survival,

@@ -17,6 +17,9 @@ CARE = 8.0
 """What a path is expected to find counts in units of its pixel's noise: the gain is this over the noise."""
 GAINS = (1.0, 32.0)
 """Bounds of the gain."""
+CARE_PAID = 1.0
+"""The same where paths are paid when they end. On the door 1 is best, and with a half or twice as much the product of
+variance and time is 6% greater."""
 DARKEST = 1e-3
 """Least estimate of a pixel relative to the mean: what no pilot sample has found is not nothing."""
 
@@ -31,6 +34,7 @@ def guided(parts: DirectionalParts, *, eye: float | None, light: float | None) -
         lookup,
         None if eye is None else Guide(DirectionalField(lookup, parts.radiance), eye),
         None if light is None else Guide(DirectionalField(lookup, parts.importance), light),
+        prospects=parts.prospects,
     )
 
 
@@ -41,16 +45,20 @@ class PixelWorth:
     greater the less ``noise`` there is otherwise: the standard deviation of one path over its pixel's value.
     """
 
-    def __init__(self, pilot: NDArray[np.float32], noise: float, size: mi.ScalarVector2u) -> None:
+    def __init__(
+        self, pilot: NDArray[np.float32], noise: float, size: mi.ScalarVector2u, *, pays: bool = False
+    ) -> None:
+        """``pays``: eye paths are paid when they end; light paths never are."""
         self.gain = float(np.clip(CARE / max(noise, 1e-3), *GAINS))
+        of_eye = CARE_PAID / max(noise, 1e-3) if pays else self.gain
         height, width = pilot.shape
         floor = DARKEST * float(pilot.mean()) or 1.0
-        self._worth = on_device(mi.Float, self.gain / np.maximum(pilot, floor))
+        self._worth = on_device(mi.Float, of_eye / np.maximum(pilot, floor))
         self._width = dr.opaque(mi.UInt32, width)
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(size.x), height / int(size.y)])
 
     def __call__(self, position: mi.Point2f) -> mi.Float:
-        """At film positions in pixels relative to the crop window."""
+        """Of eye paths through film positions in pixels relative to the crop window."""
         pixel = dr.minimum(mi.Point2u(dr.maximum(position * self._scale, 0.0)), self._last)
         return dr.gather(mi.Float, self._worth, pixel.y * self._width + pixel.x)

@@ -11,7 +11,10 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
+from elps_core.arrays import on_device
 from elps_core.context.field import DirectionalField
 from elps_core.context.lookup import RegionLookup
 from elps_core.paths.mis import Side
@@ -31,6 +34,25 @@ ENOUGH = 64
 """Records from which on a region's table is taken to know what a path can expect."""
 NEVER = 0xFFFFFFFF
 """In their place: no table is taken to know."""
+
+
+LIKELIER = 2.0
+"""Times that a table's direction may be likelier by it than it was drawn, for what a path is paid: bounds that where
+paths go by scattering alone, so that no payment is far from what the table expects of all directions."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a path can expect that goes on."""
+
+    value: mi.Float
+    """Luminance that it brings to its pixel, or importance: what comes from all sides at least, in any direction."""
+    known: mi.Bool
+    """Where a table tells that."""
+    light: mi.Spectrum
+    """What it brings to its pixel, on the average, by that direction."""
+    deviation: mi.Float
+    """Standard deviation of what it brings, over its mean."""
 
 
 class Directions:
@@ -54,14 +76,15 @@ class Directions:
     def expected(
         self,
         si: mi.SurfaceInteraction3f,  # noqa: ARG002
+        event: Scattered,  # noqa: ARG002
         direction: mi.Vector3f,  # noqa: ARG002
         cos_out: mi.Float,  # noqa: ARG002
         beta: mi.Spectrum,  # noqa: ARG002
         side: Side,  # noqa: ARG002
         active: mi.Bool,  # noqa: ARG002
-    ) -> tuple[mi.Float, mi.Bool]:
-        """What a path is expected to find that goes on with throughput ``beta``, and where that is known."""
-        return mi.Float(1.0), mi.Bool(False)
+    ) -> Outlook:
+        """What a path is expected to find that goes on by ``event`` in ``direction`` with throughput ``beta``."""
+        return Outlook(mi.Float(1.0), mi.Bool(False), mi.Spectrum(0.0), mi.Float(1.0))
 
     def region(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:  # noqa: ARG002
         """Region of a surface point as a path sees it that comes from ``wi`` (local); 0 without regions."""
@@ -83,9 +106,21 @@ class Guide:
 class GuidedDirections(Directions):
     """Mixtures of scattering and tables; a kind of path without a guide keeps to scattering."""
 
-    def __init__(self, lookup: RegionLookup, eye: Guide | None, light: Guide | None, *, enough: int = ENOUGH) -> None:
-        """``enough`` records, as of :data:`ENOUGH`; one kernel for any number of them."""
+    def __init__(
+        self,
+        lookup: RegionLookup,
+        eye: Guide | None,
+        light: Guide | None,
+        *,
+        enough: int = ENOUGH,
+        prospects: NDArray[np.float32] | None = None,
+    ) -> None:
+        """``enough`` records, as of :data:`ENOUGH`; one kernel for any number of them.
+
+        ``prospects`` [K, 4] tell what eye paths find, see :class:`elps_core.context.store.DirectionalParts`.
+        """
         self.lookup = lookup
+        self._prospects = None if prospects is None else on_device(mi.Float, prospects)
         self._enough = dr.opaque(mi.UInt32, enough)
         self._guides: dict[Side, Guide | None] = {"eye": eye, "light": light}
         self._shares: dict[Side, mi.Float] = {
@@ -133,23 +168,32 @@ class GuidedDirections(Directions):
     def expected(
         self,
         si: mi.SurfaceInteraction3f,
+        event: Scattered,
         direction: mi.Vector3f,
         cos_out: mi.Float,
         beta: mi.Spectrum,
         side: Side,
         active: mi.Bool,
-    ) -> tuple[mi.Float, mi.Bool]:
-        """By the region's table, where it rests on enough records."""
+    ) -> Outlook:
+        """By the region's table, where it rests on enough records, and the surface is one that regions are made for."""
         guide = self._guides[side]
         if guide is None:
-            return super().expected(si, direction, cos_out, beta, side, active)
+            return super().expected(si, event, direction, cos_out, beta, side, active)
+        active = active & ~event.delta
         region = self.region(si, si.wi, active)
+        by_table = guide.field.pdf(region, direction, active)
         # The mean radiance at least, whatever the direction: tables do not know of every caustic, and paths that
         # are thinned out before they find one become fireflies.
-        by_direction = guide.field.pdf(region, direction, active) / cos_out
-        incident = guide.field.irradiance(region, active) * dr.maximum(by_direction, dr.inv_pi)
+        incident = guide.field.irradiance(region, active) * dr.maximum(by_table / cos_out, dr.inv_pi)
         value = luminance(mi.UnpolarizedSpectrum(beta), si.wavelengths) * incident
-        return value, active & (guide.field.evidence(region, active) >= self._enough)
+        known = active & (guide.field.evidence(region, active) >= self._enough)
+        light, deviation = mi.Spectrum(0.0), mi.Float(1.0)
+        if self._prospects is not None and side == "eye":
+            red, green, blue, deviation = dr.gather(mi.Vector4f, self._prospects, region, known)
+            mean = mi.Color3f(red, green, blue)
+            mean = mi.Spectrum(mean) if mi.is_rgb else mi.Spectrum(mi.luminance(mean))
+            light = beta * mean * (dr.minimum(by_table, LIKELIER * event.pdf) / cos_out)
+        return Outlook(value, known, light, deviation)
 
     def region(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:
         """As of :class:`Directions`, by the surface's side that ``wi`` is on."""

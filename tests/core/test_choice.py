@@ -16,7 +16,8 @@ from elps_core.choice import (
     HOPELESS,
     JOINED,
     JOINS,
-    LIT_ALONE,
+    LIT_PATH,
+    LIT_UNJOINED,
     MOST_GAIN,
     PILOTS,
     SCOUTS,
@@ -37,6 +38,7 @@ from elps_core.settings import ContextSettings, RenderSettings, with_overrides
 
 AUTO = RenderSettings(integrator="auto")
 ENTRY: dict[str, Any] = {"error": 0.0, "mean": 1.0, "mean_error": 0.0, "microseconds": 1.0, "samples": 9}
+LIT_ONES = ("plbc", "blbcu")
 CONTEXT: dict[str, Any] = {"direction_sampling": "context", "roulette": "context"}
 
 
@@ -86,7 +88,7 @@ def test_a_named_integrator_keeps_its_name(
 ) -> None:
     asked = with_overrides(RenderSettings(integrator=integrator, **CONTEXT), changes)
     names = {"".join(word[0] for word in name.replace(",", "").split()) for name in CANDIDATES}
-    others = dict.fromkeys(names - {plain, enlightened, "blbcu"}, 100.0) | {"blbcu": 1.0}
+    others = dict.fromkeys(names - {plain, enlightened, *LIT_ONES}, 100.0) | dict.fromkeys(LIT_ONES, 1.0)
     won = choose(asked, statistics(**others, **{enlightened: 2.0}))
     assert (won.settings, won.name) == (asked, f"{integrator}, enlightened")
     lost = choose(asked, statistics(**others, **{plain: 2.0}))
@@ -97,21 +99,28 @@ def test_a_named_integrator_keeps_its_name(
 
 
 @pytest.mark.parametrize(
-    ("integrator", "changes", "title"),
+    ("integrator", "changes", "title", "roulette"),
     [
-        ("bdpt", {"bdpt.eye_paths": 16, "bdpt.joins": False}, "bdpt"),
-        ("pssmlt", {"pssmlt.over": "unjoined"}, "pssmlt over unjoined"),
-        ("pssmlt", {}, "pssmlt over unjoined"),
+        ("path", {}, "path", "context"),
+        ("bdpt", {"bdpt.eye_paths": 16, "bdpt.joins": False}, "bdpt", "context"),
+        ("pssmlt", {"pssmlt.over": "unjoined"}, "pssmlt over unjoined", "albedo"),
+        ("pssmlt", {}, "pssmlt over unjoined", "albedo"),
     ],
 )
-def test_lights_by_context_alone_may_be_the_best_form(integrator: str, changes: dict[str, Any], title: str) -> None:
+def test_lights_by_context_alone_may_be_the_best_form(
+    integrator: str, changes: dict[str, Any], title: str, roulette: str
+) -> None:
     asked = with_overrides(RenderSettings(integrator=integrator, **CONTEXT), changes)
-    choice = choose(asked, statistics(blbcu=3.0, beu=2.0))
+    known = statistics(plbc=2.5, pe=2.0, blbcu=3.0, beu=2.0)
+    choice = choose(asked, known)
     assert choice.name == f"{title}, lit by context"
     assert (choice.settings.light_sampling, choice.settings.direction_sampling) == ("context", "scattering")
-    assert (choice.settings.roulette, choice.settings.bdpt) == ("albedo", asked.bdpt)
-    other = with_overrides(asked, {"light_sampling": "power", "pssmlt.over": "unjoined"})
-    assert choose(other, statistics(blbcu=3.0, beu=2.0)).name == f"{title}, enlightened"
+    assert (choice.settings.roulette, choice.settings.bdpt) == (roulette, asked.bdpt)
+    own = choose(with_overrides(asked, {"roulette": "none"}), known)
+    assert own.settings.roulette == "none"
+    over = {"pssmlt.over": "unjoined"} if integrator == "pssmlt" else {}
+    other = with_overrides(asked, {"light_sampling": "power", **over})
+    assert choose(other, known).name == f"{title}, enlightened"
 
 
 @pytest.mark.parametrize(
@@ -194,7 +203,8 @@ def clear(**efficiencies: float) -> list[Pilot]:
         ({"bp": 1.01}, True),
         ({"blbcu": 1.01}, True),
         ({"pp": 1.01, "beu": 1.14}, False),
-        ({"pp": 0.1, "bp": 0.1}, False),
+        ({"pp": 0.1, "bp": 0.1}, True),  # One that is lit by context is still as good
+        ({"pp": 0.1, "bp": 0.1, "plbc": 0.1}, False),
     ],
 )
 def test_training_stops_where_a_plain_one_is_ahead(efficiencies: dict[str, float], wins: bool) -> None:
@@ -204,13 +214,14 @@ def test_training_stops_where_a_plain_one_is_ahead(efficiencies: dict[str, float
 @pytest.mark.parametrize("guided", ["pe", "beu"])
 def test_tables_go_on_as_they_have_begun(guided: str) -> None:
     """Here their paths have half of the variance, and take twice the time and more."""
-    names = {"pp": "path, plain", "pe": "path, enlightened", "beu": "bdpt, enlightened, unjoined"}
+    names = {"pe": "path, enlightened", "beu": "bdpt, enlightened, unjoined"}
     for slower, wins in ((3.9 * (1.0 - WHOLE_TRAINING), False), (4.1 * (1.0 - WHOLE_TRAINING), True)):
         said = clear(**{"pe": 0.01, "beu": 0.01, guided: 2.0})
         slow = [replace(p, microseconds=slower) if p.name == names[guided] else p for p in said]
         assert unguided_wins(slow) is wins
         # What they have not won of their own kind is no sign
-        worse = [replace(p, variance=0.5, microseconds=2.0) if p.name in (names["pp"], LIT_ALONE) else p for p in slow]
+        own = (LIT_PATH, LIT_UNJOINED)
+        worse = [replace(p, variance=0.5, microseconds=2.0) if p.name in own else p for p in slow]
         assert unguided_wins(worse)
     far = clear(**{"pe": 1e-3, "beu": 1e-3, guided: 100.0, "bp": 99.0 * MOST_GAIN * (1.0 - WHOLE_TRAINING)})
     assert not unguided_wins(far)
