@@ -209,8 +209,9 @@ class RenderSettings(_Model):
     has a table for each region besides the adjoint image, as paths have whose directions go by context, and pays where
     many lamps shine, most of them elsewhere."""
     direction_sampling: DirectionSampling = "scattering"
-    table_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.7
-    """Chance of a direction from the context's table, where directions go by context; a half in the thesis [5.3.3]."""
+    table_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    """Chance of a direction from the context's table, where directions go by context; a half in the thesis [5.3.3].
+    Absent: of eye paths what was best in each region when the tables were filled, if paths have filled them."""
     roulette: Roulette = "albedo"
     rr_depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] = 5
     """Path depth (segments) from which on Russian roulette may end a walk."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from elps_core.context.clustering import Clustering
 from elps_core.context.directional import DirectionalAccumulator
 from elps_core.context.pilot_image import PilotImage
+from elps_core.context.shares import CHANCES
 from elps_core.context.store import DirectionalParts
 from elps_core.errors import ContextMismatch
 
@@ -54,6 +55,8 @@ class TableState:
     """Light by region, in linear RGB, as photons have brought it."""
     moments: Doubles = field(default_factory=lambda: np.zeros((3, 0)))
     """Of what eye paths have found before the last step, see :meth:`DirectionalAccumulator.moments`."""
+    chances: Doubles = field(default_factory=lambda: np.zeros((0, len(CHANCES))))
+    """Variance by region and chance of a direction from the tables, of the last step."""
     known: DirectionalParts | None = None
     """Tables of another camera in the same surroundings, in place of a clustering and of sums of radiance."""
 
@@ -67,6 +70,7 @@ class TableState:
             "density": self.density,
             "colours": self.colours,
             "moments": self.moments,
+            "chances": self.chances,
         }
         if self.clustering is not None:
             parts |= {f"clustering.{name}": array for name, array in self.clustering.arrays().items()}
@@ -89,7 +93,7 @@ class TableState:
         try:
             done, paths, particles = (int(n) for n in arrays["counts"])
             pilot, newest, density, lights = (arrays[name] for name in ("pilot", "newest", "density", "lights"))
-            colours, moments = arrays["colours"], arrays["moments"]
+            colours, moments, chances = arrays["colours"], arrays["moments"], arrays["chances"]
         except (KeyError, ValueError):
             raise ContextMismatch(UNFIT) from None
         saved = _part(arrays, "clustering")
@@ -103,7 +107,7 @@ class TableState:
         first = 0 if known else first
         count = known.regions.count if known else clustering.result().count if clustering and found else 0
         pieces = known.lights.shape[1] if known else lights.shape[-1]
-        numbers = [pilot, newest, density, lights, colours, moments, *([] if areas is None else [areas])]
+        numbers = [pilot, newest, density, lights, colours, moments, chances, *([] if areas is None else [areas])]
         if (
             not 0 <= done <= steps
             or (done > 0 and not known) != (clustering is not None)
@@ -115,6 +119,7 @@ class TableState:
             or (lights.size > 0 and (lights.ndim != 2 or len(lights) != count))
             or colours.shape not in ((0, 3), (count, 3))
             or moments.shape not in ((3, 0), (3, count))
+            or chances.shape not in ((0, len(CHANCES)), (count, len(CHANCES)))
             or any(
                 (source.regions, source.map.cells) != (pieces if name == DEPARTURES else count, cells)
                 for name, source in sources.items()
@@ -125,7 +130,7 @@ class TableState:
         self.done, self.paths, self.particles = done, paths, particles
         self.pilot.sums, self.pilot.newest = pilot.copy(), newest.copy()
         self.density, self.lights = density.copy(), lights.copy()
-        self.colours, self.moments = colours.copy(), moments.copy()
+        self.colours, self.moments, self.chances = colours.copy(), moments.copy(), chances.copy()
         self.clustering, self.areas, self.sources, self.known = clustering, areas, sources, known
 
 

@@ -60,6 +60,9 @@ class DirectionalParts:
     """What eye paths find that go on from a region [K, 4]: the mean of radiance times cosine over all directions, in
     linear RGB of the luminance that eye paths have found, and the standard deviation of one path over the mean; None
     where no eye paths have filled the tables."""
+    shares: NDArray[np.float32] | None = None
+    """Chance of a direction from the radiance table [K] by which eye paths would have had the least noise; None where
+    no eye paths have filled the tables."""
     departures: DirectionalTables | None = None
     """Where light that reaches the image leaves the emitters' pieces to [pieces, rows, columns]; None: not measured."""
 
@@ -71,6 +74,7 @@ class DirectionalParts:
             "importance": self.importance.arrays(),
             **({"departures": self.departures.arrays()} if self.departures else {}),
             **({} if self.prospects is None else {"prospects": {"eye": self.prospects}}),
+            **({} if self.shares is None else {"shares": {"eye": self.shares}}),
         }
         named = {f"{part}.{name}": array for part, owned in parts.items() for name, array in owned.items()}
         noise = np.array([self.noise], np.float32)
@@ -98,7 +102,7 @@ class DirectionalParts:
         radiance, importance = (DirectionalTables.from_arrays(part(name)) for name in ("radiance", "importance"))
         leaving = part("departures")
         departures = DirectionalTables.from_arrays(leaving) if leaving else None
-        prospects = part("prospects").get("eye")
+        prospects, shares = (part(name).get("eye") for name in ("prospects", "shares"))
         try:
             pilot, lights, view, density = (arrays[name] for name in ("pilot", "lights", "view", "density"))
             noise = float(arrays["noise"][0])
@@ -120,16 +124,21 @@ class DirectionalParts:
             or importance.shape != radiance.shape
             or (departures and departures.shape[0] != lights.shape[1])
             or (prospects is not None and not _are_prospects(prospects, regions.count))
+            or (shares is not None and not _are_shares(shares, regions.count))
         ):
             raise ContextMismatch("the tables of the context are damaged: build it again")
         return DirectionalParts(
-            regions, radiance, importance, pilot, noise, lights, view, density, prospects, departures
+            regions, radiance, importance, pilot, noise, lights, view, density, prospects, shares, departures
         )
 
 
 def _are_prospects(array: NDArray[Any], regions: int) -> bool:
     of_size = array.shape == (regions, 4) and array.dtype == np.float32
     return of_size and bool(np.isfinite(array).all() and (array >= 0.0).all())
+
+
+def _are_shares(array: NDArray[Any], regions: int) -> bool:
+    return array.shape == (regions,) and array.dtype == np.float32 and bool(((array > 0.0) & (array < 1.0)).all())
 
 
 @dataclass(frozen=True)

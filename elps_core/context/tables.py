@@ -31,6 +31,7 @@ from elps_core.context.pilot_image import PilotImage, regions_in_view
 from elps_core.context.prospects import prospects_of
 from elps_core.context.regions import Regions
 from elps_core.context.saved import CAUSTICS, DEPARTURES, SOURCES, Arrays, Doubles, TableState
+from elps_core.context.shares import ShareTrial, best_shares
 from elps_core.context.store import DirectionalParts
 from elps_core.context.surroundings import SHARE, sees_enough, with_pieces
 from elps_core.context.walks import WalkRecorder
@@ -190,6 +191,7 @@ class TableBuilder:
             view=regions_in_view(self.scene, self.camera, self.regions, pilot.shape),
             density=self._made.density,
             prospects=self._prospects(),
+            shares=self._shares(),
             departures=self._departures(),
         )
 
@@ -197,10 +199,10 @@ class TableBuilder:
         """Shares of the lights' pieces in each region [K, pieces], drawn a little towards those of its group."""
         if not self._made.lights.size:
             return np.zeros((self.regions.count, 0), np.float32)
-        own, parents = _shares(self._made.lights), self._groups()
+        own, parents = _normalised(self._made.lights), self._groups()
         group = np.zeros((int(parents.max()) + 1, own.shape[1]))
         np.add.at(group, parents, own)
-        return np.asarray((1.0 - LENT) * own + LENT * _shares(group)[parents], np.float32)
+        return np.asarray((1.0 - LENT) * own + LENT * _normalised(group)[parents], np.float32)
 
     def _prospects(self) -> NDArray[np.float32] | None:
         """What eye paths find, where they have filled the tables."""
@@ -211,6 +213,12 @@ class TableBuilder:
             return None
         irradiance = source.estimate().irradiance
         return prospects_of(irradiance, source.moments() - moments, self._groups(), self._made.colours)
+
+    def _shares(self) -> NDArray[np.float32] | None:
+        """Chances of directions from the radiance tables, where eye paths have tried some."""
+        if self._made.known:
+            return self._made.known.shares
+        return best_shares(self._made.chances, self._groups()) if self._made.chances.any() else None
 
     def _departures(self) -> DirectionalTables | None:
         source = self._made.sources.get(DEPARTURES)
@@ -339,6 +347,7 @@ class TableBuilder:
         if not known:
             self._made.moments = seen.moments()
         colours = on_device(mi.Float, self._made.colours if self._made.colours.size else np.zeros((regions, 3)))
+        trial = ShareTrial(regions, TRAINING_SHARE) if number and not known else None
         # Two passes at least, each a batch, so that noise is known.
         passes = max(2, -(-paths * self.settings.max_depth // RECORDS))
         here = -(-paths // passes)
@@ -346,7 +355,7 @@ class TableBuilder:
         for part in range(passes):
             stream = Stream.of(lanes, *key, part, 0)
             place = Stream.of(here, *key, part, 2).next_2d()
-            found = recorder.eye_paths(place * mi.Point2f(size), stream, seen, importance, direct, leaving)
+            found = recorder.eye_paths(place * mi.Point2f(size), stream, seen, importance, direct, leaving, trial)
             pilot.enter(place, found)
             seen.close_batch()
             if leaving:
@@ -359,6 +368,8 @@ class TableBuilder:
             photons.close_batch(lit * areas)
         if not known:
             self._made.colours = np.array(colours, np.float64).reshape(regions, 3)
+        if trial:
+            self._made.chances = np.array(trial.sums, np.float64).reshape(regions, -1)
         if pieces(lights) and not known:
             self._made.lights = np.array(direct, np.float64).reshape(finder.lookup.count, -1)
 
@@ -403,7 +414,7 @@ class TableBuilder:
         self._made.pilot.enter(place, luminance(mi.UnpolarizedSpectrum(radiance), wavelengths))
 
 
-def _shares(sums: Doubles) -> Doubles:
+def _normalised(sums: Doubles) -> Doubles:
     """Of each row's total; zeros where that is none."""
     total = sums.sum(axis=1, keepdims=True)
     found: Doubles = np.divide(sums, total, out=np.zeros_like(sums), where=total > 0.0)

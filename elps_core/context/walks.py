@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 
 from elps_core.context.directional import DirectionalAccumulator
+from elps_core.context.shares import ShareTrial
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.paths.scattering import Scattered
 from elps_core.paths.stream import Stream
@@ -65,12 +66,14 @@ class WalkRecorder:
         importance: DirectionalAccumulator,
         lights: mi.Float,
         departures: DirectionalAccumulator | None = None,
+        shares: ShareTrial | None = None,
     ) -> mi.Float:
         """One path from each ``position`` on the film, in the lanes of ``stream``; the luminance that each has found.
 
         Importance counts what a pixel is worth, and is left out at the first vertex: joining light paths to the
         sensor covers that. What light sampling finds is added to ``lights`` [regions * pieces], per unit of throughput;
-        what reaches the image at all, to ``departures``, by piece and direction.
+        what reaches the image at all, to ``departures``, by piece and direction. ``shares`` learns what other chances
+        of a direction from the tables would have been worth.
         """
         bdpt = self.bdpt
         pieces = region_lights.pieces(bdpt.lights)
@@ -81,7 +84,7 @@ class WalkRecorder:
         turns = Turns(paths, lanes)
         dr.eval(position, stream)
         found, records = dr.empty(mi.Float, paths), dr.empty(mi.UInt32, paths)
-        where, what = (dr.empty(mi.Float, bdpt.max_depth * paths * size) for size in (4, 2))
+        where, what = (dr.empty(mi.Float, bdpt.max_depth * paths * 4) for _ in range(2))
 
         def begin(path: mi.UInt32, stream: Stream, active: mi.Bool) -> Walk:
             primary = bdpt.primary(dr.gather(mi.Point2f, position, path, active), stream)
@@ -126,7 +129,9 @@ class WalkRecorder:
             factor = dr.select(goes_on, factor, 0.0)
             index = eye.records * turns.paths + eye.path
             dr.scatter(where, mi.Vector4f(*walk.ray.d, dr.reinterpret_array(mi.Float, region)), index, keep)
-            dr.scatter(what, mi.Vector2f(factor, eye.found), index, keep)
+            by_table = mi.Float(0.0) if event.by_table is None else event.by_table / event.pdf
+            by_table = dr.select(goes_on, by_table, 0.0)
+            dr.scatter(what, mi.Vector4f(factor, eye.found, by_table, 0.0), index, keep)
             return replace(eye, records=eye.records + dr.select(keep, mi.UInt32(1), mi.UInt32(0)))
 
         def renew(walk: Walk, eye: _Eye) -> tuple[Walk, _Eye]:
@@ -159,10 +164,14 @@ class WalkRecorder:
         path = number - slot * turns.paths
         some = slot < dr.gather(mi.UInt32, records, path)
         place = dr.gather(mi.Vector4f, where, number, some)
-        factor, before = dr.gather(mi.Vector2f, what, number, some)
-        weight = dr.maximum(dr.gather(mi.Float, found, path, some) - before, 0.0) * factor
-        radiance.add(dr.reinterpret_array(mi.UInt32, place.w), mi.Vector3f(place.x, place.y, place.z), weight, some)
-        dr.eval(radiance.state)
+        factor, before, by_table, _ = dr.gather(mi.Vector4f, what, number, some)
+        gained = dr.maximum(dr.gather(mi.Float, found, path, some) - before, 0.0)
+        region = dr.reinterpret_array(mi.UInt32, place.w)
+        radiance.add(region, mi.Vector3f(place.x, place.y, place.z), gained * factor, some)
+        if shares and bdpt.worth:
+            worth = bdpt.worth(dr.gather(mi.Point2f, position, path, some)) / gain
+            shares.add(region, gained * worth, by_table, some & (factor > 0.0))
+        dr.eval(radiance.state, shares.sums if shares else None)
         return found
 
     def light_paths(self, paths: int, stream: Stream, radiance: DirectionalAccumulator, colours: mi.Float) -> None:

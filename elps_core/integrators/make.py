@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.chains import alike
@@ -21,6 +24,9 @@ from elps_core.settings import RenderSettings
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+USUAL_SHARE = 0.7
+"""Chance of a direction from a table where nobody knows a better one."""
 
 
 class Frames(Protocol):
@@ -84,13 +90,16 @@ def paths_of(
 def _directions(settings: RenderSettings, strategies: Strategies, parts: DirectionalParts | None) -> Directions:
     if parts is None:
         return SCATTERING
-    share = settings.table_share if settings.direction_sampling == "context" else 0.0
     guided_light = settings.integrator == "light" or settings.bdpt.guided_light
     if not settings.guided:
         return guided(parts, eye=None, light=None)
+    share: float | NDArray[np.float32] = settings.table_share or USUAL_SHARE
+    if settings.direction_sampling != "context":
+        share = 0.0
+    learned = parts.shares if settings.table_share is None and share else None
     return guided(
         parts,
-        eye=share if strategies.eye_paths else None,
+        eye=(share if learned is None else learned) if strategies.eye_paths else None,
         light=share if guided_light and strategies.light_paths else None,
     )
 

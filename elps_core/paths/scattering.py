@@ -37,6 +37,7 @@ class Scattered:
     eta: mi.Float  # Relative index of refraction passed
     delta: mi.Bool  # Whether it is a Dirac event
     albedo: mi.Spectrum  # f |cos| / density of scattering alone, whatever else was drawn by
+    by_table: mi.Float | None = None  # Density of the table that takes part in the mixture, where one does
 
 
 def seen_by_eye(si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:

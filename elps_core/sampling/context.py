@@ -11,7 +11,7 @@ from elps_core.arrays import on_device
 from elps_core.context.field import DirectionalField
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.store import DirectionalParts
-from elps_core.sampling.direction import Guide, GuidedDirections
+from elps_core.sampling.direction import Guide, GuidedDirections, Share
 
 CARE = 8.0
 """What a path is expected to find counts in units of its pixel's noise: the gain is this over the noise."""
@@ -24,8 +24,8 @@ DARKEST = 1e-3
 """Least estimate of a pixel relative to the mean: what no pilot sample has found is not nothing."""
 
 
-def guided(parts: DirectionalParts, *, eye: float | None, light: float | None) -> GuidedDirections:
-    """Directions by the tables of ``parts`` with a chance of ``eye`` and ``light``.
+def guided(parts: DirectionalParts, *, eye: Share | None, light: Share | None) -> GuidedDirections:
+    """Directions by the tables of ``parts`` with a chance of ``eye`` and ``light``, one or by region [K].
 
     With a chance of 0 tables serve roulette only; without one they are not loaded.
     """

@@ -8,6 +8,7 @@ densities of both mixtures, because each enters the other's weights.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -94,12 +95,16 @@ class Directions:
 SCATTERING = Directions()
 
 
+Share: TypeAlias = "float | NDArray[np.float32]"
+"""One chance, or that of each region [K]."""
+
+
 @dataclass(frozen=True)
 class Guide:
     """What one kind of path is guided by."""
 
     field: DirectionalField
-    share: float
+    share: Share
     """Chance of a direction from the table, where the material scatters at all; 0: the table serves roulette."""
 
 
@@ -123,10 +128,11 @@ class GuidedDirections(Directions):
         self._prospects = None if prospects is None else on_device(mi.Float, prospects)
         self._enough = dr.opaque(mi.UInt32, enough)
         self._guides: dict[Side, Guide | None] = {"eye": eye, "light": light}
+        # By region in any case: one kernel for both.
         self._shares: dict[Side, mi.Float] = {
-            side: dr.opaque(mi.Float, guide.share)
+            side: on_device(mi.Float, np.broadcast_to(np.float32(guide.share), lookup.count))
             for side, guide in self._guides.items()
-            if guide and guide.share > 0.0
+            if guide and np.any(np.asarray(guide.share) > 0.0)
         }
 
     def seen(
@@ -147,14 +153,17 @@ class GuidedDirections(Directions):
             event = super().sample(si, stream, side, active)
         else:
             u_lobe, u = stream.next_1d(), stream.next_2d()
-            share = dr.select(smooth, self._shares[side], 0.0)
+            here = active & smooth
+            region = self.region(si, si.wi, here)
+            share = dr.gather(mi.Float, self._shares[side], region, here)
             by_table = active & (u.x < share)
             # What is left of the number chooses the direction.
             left = dr.select(by_table, u.x / share, (u.x - share) / (1.0 - share))
             u.x = dr.clip(left, 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
-            direction, _ = guide.field.sample(self.region(si, si.wi, by_table), u, by_table)
+            direction, _ = guide.field.sample(region, u, by_table)
             event = sample_mixed(si, by_table, si.to_local(direction), u_lobe, u, side, active)
-            pdf = self._mixed(event.pdf, si, si.wi, event.wo, side, smooth, active & ~event.delta)
+            event.by_table = guide.field.pdf(region, si.to_world(event.wo), here & ~event.delta)
+            pdf = dr.lerp(event.pdf, event.by_table, share)
             # Roulette asks what the material keeps, not how well the table has chosen.
             albedo = dr.select(event.pdf > 0.0, event.weight / event.pdf, 1.0)
             event.albedo = dr.select(event.delta, event.weight, albedo)
@@ -181,7 +190,8 @@ class GuidedDirections(Directions):
             return super().expected(si, event, direction, cos_out, beta, side, active)
         active = active & ~event.delta
         region = self.region(si, si.wi, active)
-        by_table = guide.field.pdf(region, direction, active)
+        drawn = side in self._shares and event.by_table is not None
+        by_table = event.by_table if drawn else guide.field.pdf(region, direction, active)
         # The mean radiance at least, whatever the direction: tables do not know of every caustic, and paths that
         # are thinned out before they find one become fireflies.
         incident = guide.field.irradiance(region, active) * dr.maximum(by_table / cos_out, dr.inv_pi)
@@ -213,8 +223,9 @@ class GuidedDirections(Directions):
         guide = self._guides[side]
         if guide is None or side not in self._shares:
             return pdf
-        by_table = guide.field.pdf(self.region(si, wi, active), si.to_world(wo), active)
-        return dr.select(smooth, dr.lerp(pdf, by_table, self._shares[side]), pdf)
+        region = self.region(si, wi, active)
+        by_table = guide.field.pdf(region, si.to_world(wo), active)
+        return dr.select(smooth, dr.lerp(pdf, by_table, dr.gather(mi.Float, self._shares[side], region, active)), pdf)
 
 
 def _other(side: Side) -> Side:
