@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 Doubles = NDArray[np.float64]
 
-CHANCES = (0.3, 0.55, 0.75, 0.9)
-"""What is compared: four, so that they travel as one packet."""
+CHANCES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95)
+"""What is compared: multiples of four, so that they travel as packets."""
 MOST = 30.0
 """What a path finds counts up to this many times its pixel's value: no single event is to decide for a region."""
 OTHERS = 1e-3
@@ -37,7 +37,10 @@ class ShareTrial:
         square = dr.square(dr.minimum(found, MOST))
         some = active & (square > 0.0) & dr.isfinite(square)
         each = [square / (chance * by_table + (1.0 - chance) * by_material) for chance in CHANCES]
-        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Vector4f(*each), region, some)
+        packets = len(CHANCES) // 4
+        for part in range(packets):
+            index = packets * region + part
+            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Vector4f(*each[4 * part : 4 * part + 4]), index, some)
 
 
 def best_shares(variance: Doubles, parents: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
