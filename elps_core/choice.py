@@ -39,6 +39,8 @@ CANDIDATES: dict[str, dict[str, Any]] = {
 """What pilots compare, and ``auto`` chooses from."""
 JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
 """Those that may win where joining subpaths pays, and cost the more where it does not."""
+SLOWEST = "bdpt, enlightened"
+"""Takes longest to measure, and is not far from the other one of these: not measured where that one is hopeless."""
 LIT_PATH, LIT_UNJOINED = "path, lit by context", "bdpt, lit by context, unjoined"
 EYE_PATHS, WITH_CAUSTICS = "path, enlightened", "bdpt, enlightened, unjoined"
 """The same eye paths, alone and with the light paths that can tell of their variance."""
@@ -173,8 +175,8 @@ def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iter
     """The candidates among which the best is, as far as is known; all without any scouts.
 
     Where training has stopped, those without directions by table, if several are close. Else the guided ones, but those
-    that join subpaths only where it pays without tables; and after them, once ``pilots`` of all these are known, the
-    others that scouts have not found hopeless against them.
+    that join subpaths only where it pays without tables; and after them, once ``pilots`` of these are known, the
+    slowest of them and the others, if they are not hopeless against them.
     """
     said = tuple(scouts)
     if unguided_wins(said):
@@ -183,11 +185,15 @@ def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iter
     joining = not said or _joining_may_pay(said)
     guided = [name for name in candidates if _is_guided(name) and (joining or name not in JOINED)]
     others = [name for name in candidates if not _is_guided(name)]
-    # By the guided ones alone, so that the list stays as it is while the others are measured.
-    measured = [pilot for pilot in pilots if pilot.name in guided]
-    if said and len(measured) == len(guided):
-        others = _within(HOPELESS, _known(together(said, measured)), others)
-    return [*guided, *others]
+    # By the first guided ones alone, so that the list stays as it is while the others are measured.
+    slowest = [name for name in guided if name == SLOWEST]
+    first = [name for name in guided if name != SLOWEST]
+    measured = [pilot for pilot in pilots if pilot.name in first]
+    if said and first and len(measured) == len(first):
+        known = _known(together(said, measured))
+        others, near = _within(HOPELESS, known, others), _within(HOPELESS, known, list(JOINED))
+        slowest = slowest if near else []
+    return [*first, *slowest, *others]
 
 
 def together(scouts: Iterable[Pilot], pilots: Iterable[Pilot]) -> tuple[Pilot, ...]:

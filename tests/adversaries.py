@@ -46,6 +46,8 @@ def parts(scene: Any, kind: Kind) -> DirectionalParts:
     emission = Emission(scene)
     lights = rng.random((count, pieces(StartDensity(emission, uneven_table(emission))))) ** 3
     pilot = (rng.random(PIXELS) ** 2).astype(np.float32)
+    leaving = tables(lights.shape[1]) if lights.shape[1] else None
+    prospects = rng.random((count, 4)) ** 2 * np.array([1.0, 2.0, 0.5, 3.0])
     return DirectionalParts(
         regions,
         tables(),
@@ -55,5 +57,7 @@ def parts(scene: Any, kind: Kind) -> DirectionalParts:
         lights.astype(np.float32),
         np.zeros(PIXELS, np.uint16),
         np.zeros((2, 4, 4), np.float32),
-        tables(lights.shape[1]) if lights.shape[1] else None,
+        prospects.astype(np.float32),
+        rng.uniform(0.05, 0.95, count).astype(np.float32),
+        leaving,
     )

@@ -174,7 +174,9 @@ class WalkRecorder:
         dr.eval(radiance.state, shares.sums if shares else None)
         return found
 
-    def light_paths(self, paths: int, stream: Stream, radiance: DirectionalAccumulator, colours: mi.Float) -> None:
+    def light_paths(
+        self, paths: int, stream: Stream, radiance: DirectionalAccumulator, colours: mi.Float | None = None
+    ) -> None:
         """``paths`` from the lights, in the lanes of ``stream``; every vertex is a photon [thesis (5.11)].
 
         Where light has colours their sums go to ``colours`` [regions * 3], in linear RGB.
@@ -197,7 +199,7 @@ class WalkRecorder:
             # Light that comes straight from a lamp is the business of light sampling.
             indirect = smooth & (vertex.depth > 1)
             radiance.add(region, vertex.si.to_world(vertex.si.wi), weight, indirect)
-            if mi.is_rgb:
+            if mi.is_rgb and colours is not None:
                 for k, amount in enumerate(mi.UnpolarizedSpectrum(vertex.beta)):
                     some = indirect & dr.isfinite(amount)
                     dr.scatter_reduce(dr.ReduceOp.Add, colours, amount, 3 * region + k, some)

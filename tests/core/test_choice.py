@@ -21,6 +21,7 @@ from elps_core.choice import (
     MOST_GAIN,
     PILOTS,
     SCOUTS,
+    SLOWEST,
     STILL,
     WHOLE_TRAINING,
     Choice,
@@ -269,16 +270,23 @@ def test_what_tables_have_left_behind_is_not_measured_again() -> None:
     """Guided candidates come first, so that it is known how good they are when the others' turn comes."""
     every = list(CANDIDATES)
     said = scouts(pe=9.0, bp=9.0, pp=9.0 / HOPELESS)
-    guided = [name for name in every if ENLIGHTENED.items() <= CANDIDATES[name].items()]
+    guided = [name for name in every if is_guided(name)]
+    first = [name for name in guided if name != SLOWEST]
     planned = worth_measuring(every, said)
-    assert planned[: len(guided)] == guided
-    pilots = [Pilot(**entry) for entry in statistics(pe=0.97 * 9.0 * HOPELESS)[PILOTS] if entry["name"] in guided]
-    assert worth_measuring(every, said, pilots[:-1]) == planned
-    assert worth_measuring(every, said, pilots) == [*guided, "bdpt, plain"]
-    more = [*pilots, Pilot(**ENTRY | {"name": "bdpt, plain", "variance": 1.0, "mean": 50.0})]
-    assert worth_measuring(every, said, more) == [*guided, "bdpt, plain"]
-    far = [Pilot(**entry) for entry in statistics(pe=1.03 * 9.0 * HOPELESS)[PILOTS] if entry["name"] in guided]
-    assert worth_measuring(every, said, far) == guided
+    assert planned[: len(guided)] == [*first, SLOWEST]
+
+    def measured(**efficiencies: float) -> list[Pilot]:
+        return [Pilot(**entry) for entry in statistics(**efficiencies)[PILOTS] if entry["name"] in first]
+
+    near = measured(pe=0.97 * 9.0 * HOPELESS)
+    assert worth_measuring(every, said, near[:-1]) == planned
+    assert worth_measuring(every, said, near) == [*first, "bdpt, plain"]
+    more = [*near, Pilot(**ENTRY | {"name": "bdpt, plain", "variance": 1.0, "mean": 50.0})]
+    assert worth_measuring(every, said, more) == [*first, "bdpt, plain"]
+    assert worth_measuring(every, said, measured(pe=1.03 * 9.0 * HOPELESS)) == first
+    # The slowest follows where what is nearest to it is not hopeless.
+    assert worth_measuring(every, said, measured(pe=20.0, be4ep=20.1 / HOPELESS)) == [*first, SLOWEST]
+    assert worth_measuring(every, said, measured(pe=20.0, be4ep=19.9 / HOPELESS)) == first
 
 
 def is_guided(name: str) -> bool:

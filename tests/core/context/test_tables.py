@@ -101,6 +101,32 @@ def test_every_kind_of_particle_fills_tables(kind: ParticleSource) -> None:
     assert parts.pilot.min() > 0.0
     assert parts.view.max() < SMALL["regions"], "the camera stands in a room"
     assert parts.density.sum(axis=(1, 2)) == pytest.approx(np.ones(2), rel=1e-4)
+    # Eye paths alone tell what eye paths find; a single step of them has asked no table yet.
+    assert (parts.prospects is not None) == (kind == "walks")
+    assert parts.shares is None
+
+
+def test_what_paths_are_paid_is_grey_in_a_grey_room_and_as_bright_as_records_say() -> None:
+    prospects = built("walks").result().prospects
+    by_eye, _ = irradiance("walks", "radiance")
+    assert prospects.shape == (SMALL["regions"], 4)
+    assert prospects[:, :3] == pytest.approx(np.repeat(by_eye[:, None], 3, axis=1), rel=1e-4)
+    assert (prospects[:, 3] > 0.1).all()
+
+
+def test_regions_learn_how_often_to_ask_their_tables(box: LoadedScene) -> None:
+    from elps_core.context.shares import CHANCES
+
+    builder = builder_of(box, paths=1 << 17)
+    while builder.done < builder.steps:
+        saved, builder = builder.to_bytes(), builder_of(box, paths=1 << 17)
+        builder.restore(saved)
+        builder.step()
+    parts = builder.result().directions
+    assert set(parts.shares.tolist()) <= set(np.float32(CHANCES).tolist())
+    # One wall is red and one green: so is what comes from them.
+    reddish = parts.prospects[:, 0] / parts.prospects[:, 1]
+    assert reddish.max() > 1.2 * np.median(reddish) > 1.2 * 1.2 * reddish.min()
 
 
 def irradiance(kind: ParticleSource, source: str) -> tuple[Array, Array]:
@@ -255,6 +281,9 @@ CHECKED = (
     "tables.pilot",
     "tables.density",
     "tables.lights",
+    "tables.colours",
+    "tables.moments",
+    "tables.chances",
     "tables.clustering.position",
     "tables.clustering.centres",
     "tables.radiance.sums",
@@ -270,7 +299,7 @@ def test_a_state_that_lacks_something_is_refused(box: LoadedScene, state: dict[s
         builder.restore(save_tensors({other: array for other, array in state.items() if other != name}))
 
 
-@pytest.mark.parametrize("name", [name for name in CHECKED if name != "tables.lights"])
+@pytest.mark.parametrize("name", [name for name in CHECKED if name not in ("tables.lights", "tables.chances")])
 def test_a_state_of_other_shapes_is_refused(box: LoadedScene, state: dict[str, Array], name: str) -> None:
     builder = builder_of(box)
     cut = np.ascontiguousarray(state[name].ravel()[: state[name].size // 2])
@@ -376,6 +405,10 @@ CHANGES: dict[str, Change] = {
     "a pilot without a number": lambda parts: replace(parts, pilot=np.full_like(parts.pilot, np.nan)),
     "coarser importance": lambda parts: replace(parts, importance=without_rows(parts.importance)),
     "fewer lights": lambda parts: replace(parts, lights=parts.lights[1:]),
+    "fewer prospects": lambda parts: replace(parts, prospects=parts.prospects[1:]),
+    "prospects below nothing": lambda parts: replace(parts, prospects=parts.prospects - 100.0),
+    "a chance of one": lambda parts: replace(parts, shares=np.ones(parts.regions.count, np.float32)),
+    "fewer chances": lambda parts: replace(parts, shares=np.full(3, 0.5, np.float32)),
 }
 
 

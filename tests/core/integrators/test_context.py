@@ -7,10 +7,13 @@ numbers, have few bounces; it may end paths from the first bounce on.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from elps_core.context.encoding import DirectionalTables
 from tests import adversaries
 from tests.core.integrators.conftest import Agree
 from tests.core.integrators.test_analytic import IMAGES, check, sphere, up_to
@@ -83,17 +86,68 @@ def test_no_tables_move_the_image_of_unjoined_paths(agree: Agree) -> None:
     assert agreement.detectable < BOUND, agreement
 
 
-@pytest.mark.parametrize(("algorithm", "kind"), [("path", "random"), ("light", "spiked"), ("bdpt", "random")])
-def test_no_roulette_by_context_moves_the_radiance_in_a_sphere(mi: Any, algorithm: str, kind: adversaries.Kind) -> None:
+LEARNED: dict[str, Any] = {"bdpt__guided_light": True}
+"""Each region has a chance of its own of directions by its table."""
+ROULETTE: list[tuple[str, adversaries.Kind, dict[str, Any]]] = [
+    ("path", "random", EVERYWHERE),
+    ("path", "spiked", LEARNED),
+    ("path", "random", LEARNED | {"direction_sampling": "scattering"}),
+    ("bdpt", "random", LEARNED | UNJOINED),
+    ("light", "spiked", EVERYWHERE),
+    ("bdpt", "random", EVERYWHERE),
+]
+"""Eye paths that are not joined are paid where they end; what others have expected to find is lost."""
+
+
+@pytest.mark.parametrize(("algorithm", "kind", "options"), ROULETTE)
+def test_no_roulette_by_context_moves_the_radiance_in_a_sphere(
+    mi: Any, algorithm: str, kind: adversaries.Kind, options: dict[str, Any]
+) -> None:
     scene = sphere(mi, "area")
     parts = adversaries.parts(scene, kind)
-    options = EVERYWHERE | {"parts": parts, "rr_depth": 1}
-    images = render(scene, algorithm, images=IMAGES, spp=768, max_depth=DEPTH, **options)
+    images = render(scene, algorithm, images=IMAGES, spp=768, max_depth=DEPTH, parts=parts, rr_depth=1, **options)
     check(images, up_to("area", DEPTH), bound=DIM)
 
 
-def test_no_roulette_by_context_moves_the_image(agree: Agree) -> None:
+@pytest.mark.parametrize("algorithm", ["path", "bdpt"])
+def test_no_roulette_by_context_moves_the_image(agree: Agree, algorithm: str) -> None:
     """Directions are those of scattering: tables serve roulette alone."""
-    agreement = agree("mixed", "bdpt", more=6.0, wrong="random", direction_sampling="scattering", rr_depth=1)
+    agreement = agree("mixed", algorithm, more=6.0, wrong="random", direction_sampling="scattering", rr_depth=1)
     assert agreement.agrees, agreement
     assert agreement.detectable < DIM, agreement
+
+
+def test_paths_that_are_paid_are_no_noisier_where_tables_know_what_they_would_find(mi: Any) -> None:
+    """In a sphere with a light at its centre all light that has been reflected comes alike from all sides."""
+    from elps_core.context.clustering import build_regions
+    from elps_core.context.directional import EqualAreaMap
+
+    scene = sphere(mi, "point")
+    parts = adversaries.parts(scene, "random")
+    outward = np.random.default_rng(3).normal(size=(20000, 3))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    regions = build_regions(outward, -outward, 200, seed=1)
+    rows, columns, count = 16, 32, regions.count
+    grid, cells = EqualAreaMap(rows, columns), np.arange(rows * columns)
+    middle = grid.direction(mi.UInt32(cells // columns), mi.UInt32(cells % columns), mi.Point2f(0.5))
+    facing = np.maximum(regions.normals @ np.array(middle), 0.0).reshape(-1, rows, columns) + 1e-3
+    bright = np.full(count, np.pi * up_to("point", 16))
+    tables = DirectionalTables.of(facing, bright, np.full(count, 1000))
+    known = replace(
+        parts,
+        regions=regions,
+        radiance=tables,
+        importance=tables,
+        lights=np.ones((count, parts.lights.shape[1]), np.float32),
+        shares=None,
+        prospects=np.stack([*[bright] * 3, np.full(count, 0.05)], axis=1).astype(np.float32),
+    )
+    assert known.prospects is not None
+    unpaid = replace(known, prospects=known.prospects * np.array([0, 0, 0, 1], np.float32))
+    noise = []
+    for told in (known, unpaid):
+        options: dict[str, Any] = {"parts": told, "rr_depth": 1, "direction_sampling": "scattering"}
+        images = render(scene, "path", images=IMAGES, spp=256, max_depth=16, **options)
+        check(images, up_to("point", 16), bound=BOUND)
+        noise.append(images.var(axis=0).mean())
+    assert noise[0] < 0.2 * noise[1]

@@ -219,6 +219,7 @@ def test_what_a_path_can_expect_is_asked_of_tables_that_know(side: Side) -> None
     """Twice the throughput is worth twice as much; regions with few records know nothing, nor does scattering."""
     import mitsuba as mi
 
+    from elps_core.paths.stream import Stream
     from elps_core.sampling.direction import SCATTERING
 
     scene, si = place("diffuse")
@@ -229,10 +230,46 @@ def test_what_a_path_can_expect_is_asked_of_tables_that_know(side: Side) -> None
     si.p = points
     active = mi.Bool(True)
     up, cosine = mi.Vector3f(si.sh_frame.n), mi.Float(1.0)
-    value, known = directions.expected(si, up, cosine, mi.Spectrum(0.2), side, active)
-    twice, _ = directions.expected(si, up, cosine, mi.Spectrum(0.4), side, active)
+    event = directions.sample(si, Stream.of(4096, 3), side, active)
+    event.delta = mi.Bool(False)
+    once = directions.expected(si, event, up, cosine, mi.Spectrum(0.2), side, active)
+    twice = directions.expected(si, event, up, cosine, mi.Spectrum(0.4), side, active)
     region = np.array(directions.region(si, si.wi, active))
-    assert np.array_equal(np.array(known), evidence[region] >= 64)
-    assert 0 < np.count_nonzero(known) < 4096
-    assert np.allclose(twice, 2.0 * np.array(value))
-    assert not np.array(SCATTERING.expected(si, up, cosine, mi.Spectrum(0.2), side, active)[1]).any()
+    assert np.array_equal(np.array(once.known), evidence[region] >= 64)
+    assert 0 < np.count_nonzero(once.known) < 4096
+    assert np.allclose(twice.value, 2.0 * np.array(once.value))
+    assert np.allclose(twice.light, 2.0 * np.array(once.light))
+    assert np.array(once.light).any() == (side == "eye")
+    assert not np.array(SCATTERING.expected(si, event, up, cosine, mi.Spectrum(0.2), side, active).known).any()
+    event.delta = mi.Bool(True)
+    assert not np.array(directions.expected(si, event, up, cosine, mi.Spectrum(0.2), side, active).known).any()
+
+
+@pytest.mark.parametrize("own", [0.5, 0.0], ids=["guided", "by scattering"])
+def test_what_paths_are_paid_is_what_tables_expect_of_all_directions(own: float) -> None:
+    """Over the density of the draw its mean is scattering times irradiance; less where that is drawn too seldom."""
+    import mitsuba as mi
+
+    from elps_core.paths.stream import Stream
+    from elps_core.sampling.context import guided as made
+    from elps_core.sampling.direction import LIKELIER
+
+    scene, si = place("diffuse")
+    parts = adversaries.parts(scene, "random")
+    directions = made(parts, eye=own, light=None)
+    active, count = mi.Bool(True), 1 << 18
+    region = int(np.array(directions.region(si, si.wi, active)).ravel()[0])
+    event = directions.sample(si, Stream.of(count, 5), "eye", active)
+    direction = si.to_world(event.wo)
+    cosine = mi.Float(np.abs(np.array(mi.Frame3f.cos_theta(event.wo))))
+    light = np.array(directions.expected(si, event, direction, cosine, event.weight, "eye", active).light)
+    drawn = np.array(event.pdf) > 0.0
+    albedo = np.array(event.albedo)[:, drawn].max(axis=1)
+    table = np.array(directions._guides["eye"].field.probabilities(region))
+    assert parts.prospects is not None
+    most = albedo / np.pi * parts.prospects[region, :3] * table[:16].sum()
+    mean, error = light[:, drawn].sum(axis=1) / count, light[:, drawn].std(axis=1) / np.sqrt(count)
+    assert (mean <= most * 1.001 + 4.0 * error).all()
+    assert (mean > 0.4 * most).all()
+    bound = LIKELIER * albedo[:, None] * parts.prospects[region, :3, None] / np.pi
+    assert (light[:, drawn] <= bound * 1.001).all()
