@@ -48,7 +48,8 @@ class Agree(Protocol):
 
 @pytest.fixture(autouse=True)
 def _forget_scenes() -> Iterator[None]:
-    """Free a test's scene before the next one: a kernel handles every object that is alive."""
+    """Free a test's scene before the next one, and what other files have left: a kernel handles all that is alive."""
+    gc.collect()
     yield
     gc.collect()
 
