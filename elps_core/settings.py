@@ -81,7 +81,7 @@ class ContextSettings(_Model):
 
     resolution: Annotated[int, Field(ge=4, le=1024)] = 64
     """Cells along each side of the adjoint image; columns round up to a multiple of the emitters."""
-    samples_per_cell: Annotated[int, Field(ge=1, le=4096)] = 32
+    samples_per_cell: Annotated[int, Field(ge=1, le=4096)] = 16
     """Mean number of light paths per cell of the adjoint image, over all passes."""
     epsilon: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05
     """Share of the start density that follows emitted power, so that every cell keeps a chance."""
