@@ -1,7 +1,8 @@
 """What the context is worth: plain and enlightened algorithms at equal time, and what pilots make of both.
 
 ``python -m tests.benchmarks.enlightened`` writes docs/enlightened.md and its pictures, in about an hour on two cores
-that do nothing else; ``--scene`` takes some of the scenes, and keeps what the page says of the others.
+that do nothing else; ``--scene`` takes some of the scenes, and keeps what the page says of the others. ``--way`` takes
+some of the ways beside the peers, and writes a section of its own.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import re
 import tempfile
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -151,11 +152,20 @@ def _known(scenes: list[str]) -> list[str]:
     return scenes
 
 
+def _ways(names: list[str]) -> list[str]:
+    """Refuses a way that is none of :data:`WAYS`."""
+    for name in names:
+        if name not in WAYS:
+            raise typer.BadParameter(f"there is no way '{name}': choose among {', '.join(WAYS)}")
+    return names
+
+
 def main(
     seconds: Annotated[float, typer.Option()] = 60.0,
     reference_seconds: Annotated[float, typer.Option()] = 240.0,
     runs: Annotated[int, typer.Option()] = 2,
     scene: Annotated[list[str], typer.Option(callback=_known, help="Again for more; files, too.")] = list(CASES),  # noqa: B006
+    way: Annotated[list[str], typer.Option(callback=_ways, help="Again for more; all of the scene's if absent.")] = [],  # noqa: B006
 ) -> None:
     """Run the comparisons and write the report."""
     for title in scene:
@@ -166,6 +176,8 @@ def main(
             else:
                 path, case = Path(title), Case(lambda _: None, EASY, "bdpt")
                 title = path.parent.name if path.stem == "scene" else path.stem
+            if way:
+                case, title = replace(case, ways=(*PEERS, *way), pictures=()), f"{title}, fewer ways"
             context = Path(name) / "context.elps"
             every = {**WAYS, CACHED: [*WAYS["auto"], "--context", str(context)]}
             if CACHED in case.ways:

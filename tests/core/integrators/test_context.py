@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from elps_core import device
 from elps_core.context.encoding import DirectionalTables
 from tests import adversaries
 from tests.core.integrators.conftest import Agree
@@ -106,6 +107,17 @@ def test_no_roulette_by_context_moves_the_radiance_in_a_sphere(
     scene = sphere(mi, "area")
     parts = adversaries.parts(scene, kind)
     images = render(scene, algorithm, images=IMAGES, spp=768, max_depth=DEPTH, parts=parts, rr_depth=1, **options)
+    check(images, up_to("area", DEPTH), bound=DIM)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_spectral"])
+def test_no_payment_moves_the_radiance_in_other_variants(variant: str) -> None:
+    """Colours are told in RGB, and paid by what carries them."""
+    mi = device.use(variant)
+    mi.set_log_level(mi.LogLevel.Error)  # The film announces that it turns monochrome.
+    scene = sphere(mi, "area")
+    parts = adversaries.parts(scene, "random")
+    images = render(scene, "path", images=IMAGES, spp=768, max_depth=DEPTH, parts=parts, rr_depth=1, **LEARNED)
     check(images, up_to("area", DEPTH), bound=DIM)
 
 
