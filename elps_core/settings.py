@@ -214,7 +214,8 @@ class RenderSettings(_Model):
     Absent: of eye paths what was best in each region when the tables were filled, if paths have filled them."""
     roulette: Roulette = "albedo"
     rr_depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] = 5
-    """Path depth (segments) from which on Russian roulette may end a walk."""
+    """Path depth (segments) from which on Russian roulette may end a walk; where roulette by context pays for what it
+    ends, the second one at the latest."""
     max_depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] = 16
     """Longest path in segments, as Mitsuba counts: 1 is directly visible emission only."""
     heuristic: HeuristicKind = "power"

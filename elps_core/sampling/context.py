@@ -18,8 +18,8 @@ CARE = 8.0
 GAINS = (1.0, 32.0)
 """Bounds of the gain."""
 CARE_PAID = 1.0
-"""The same where paths are paid when they end. On the door 1 is best, and with a half or twice as much the product of
-variance and time is 6% greater."""
+"""The same where paths are paid when they end. On the door the product of variance and time is the same from 0.7 to 2,
+to within a tenth, and a fifth greater with 0.5."""
 DARKEST = 1e-3
 """Least estimate of a pixel relative to the mean: what no pilot sample has found is not nothing."""
 
