@@ -37,10 +37,11 @@ CANDIDATES: dict[str, dict[str, Any]] = {
     "bdpt, lit by context, unjoined": {"integrator": "bdpt", **LIT, **UNJOINED},
 }
 """What pilots compare, and ``auto`` chooses from."""
-JOINED = ("bdpt, enlightened", "bdpt, enlightened, 4 eye paths")
-"""Those that may win where joining subpaths pays, and cost the more where it does not."""
 SLOWEST = "bdpt, enlightened"
-"""Takes longest to measure, and is not far from the other one of these: not measured where that one is hopeless."""
+"""Takes longest to measure, and is not far from the other one of those that follow: not measured where that is
+hopeless."""
+JOINED = (SLOWEST, "bdpt, enlightened, 4 eye paths")
+"""Those that may win where joining subpaths pays, and cost the more where it does not."""
 LIT_PATH, LIT_UNJOINED = "path, lit by context", "bdpt, lit by context, unjoined"
 EYE_PATHS, WITH_CAUSTICS = "path, enlightened", "bdpt, enlightened, unjoined"
 """The same eye paths, alone and with the light paths that can tell of their variance."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Doubles = NDArray[np.float64]
 
 CHANCES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95)
-"""What is compared: multiples of four, so that they travel as packets."""
+"""What is compared: as many as fill packets of four, in which their sums travel."""
 MOST = 30.0
 """What a path finds counts up to this many times its pixel's value: no single event is to decide for a region."""
 OTHERS = 1e-3
