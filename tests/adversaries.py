@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from elps_core.context.aims import POINTS, Aims
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.store import DirectionalParts
 
@@ -60,4 +61,13 @@ def parts(scene: Any, kind: Kind) -> DirectionalParts:
         prospects.astype(np.float32),
         rng.uniform(0.05, 0.95, count).astype(np.float32),
         leaving,
+        _aims(rng, low, high, count),
     )
+
+
+def _aims(rng: np.random.Generator, low: Array, high: Array, count: int) -> Aims:
+    """Points anywhere in a box."""
+    place = low + rng.random((count, POINTS, 3)) * (high - low)
+    spread = (rng.uniform(0.02, 0.3, (count, POINTS, 1)) * np.linalg.norm(high - low)) ** 2
+    roots = 0.2 * rng.random((count, POINTS)) ** 2
+    return Aims(np.concatenate([place, spread], axis=-1).astype(np.float32), roots.astype(np.float32))

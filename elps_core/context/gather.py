@@ -6,10 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.context.aims import Photons
+from elps_core.context.lookup import RegionLookup
 from elps_core.context.saved import DENSITY_SIDE
 from elps_core.errors import SceneRejected
 from elps_core.particles.bidirectional import BidirectionalSampler
@@ -26,8 +29,8 @@ PER_REGION = 32
 MOST_PARTICLES = 1 << 20
 """Particles that regions are made from, at most, those of caustics apart."""
 CAUSTIC_PATHS = 1 << 19
-"""Light paths that are aimed at mirrors and glass, for the regions and again for their tables: 10000 photons where
-one ball is of glass."""
+"""Light paths that are aimed at mirrors and glass, for the regions, and twice as many for their tables: 10000 photons
+where one ball is of glass, and its lamp in the next room."""
 CAUSTIC_PART = 0.25
 """Photons that they bring, at most, for each other particle that regions are made from. Under a ball of glass every
 step shows the lamp in another direction, and small regions know where."""
@@ -108,8 +111,28 @@ def sampler(
 
 def caustics(scene: mi.Scene, settings: ContextSettings, lights: StartDensity, purpose: int) -> Iterator[Particles]:
     """Batches of photons that mirrors and glass have brought; none in scenes without."""
-    aimed = CausticSampler(scene, lights, max_depth=settings.max_depth, paths=CAUSTIC_PATHS)
+    paths = CAUSTIC_PATHS if purpose == AIMED_FOR_REGIONS else 2 * CAUSTIC_PATHS
+    aimed = CausticSampler(scene, lights, max_depth=settings.max_depth, paths=paths)
     return aimed.run((settings.seed, STREAM, purpose))
+
+
+def seen_by_regions(scene: mi.Scene, lookup: RegionLookup, batches: Iterator[Particles]) -> Photons:
+    """Photons of :func:`caustics` on the host, by region, with the way back to the mirror or the glass."""
+    nothing = np.zeros((0, 3))
+    found = [(nothing, nothing, nothing[:, 0], nothing[:, 0], np.zeros(0, np.int64))]
+    for photons in batches:
+        if not len(photons):
+            continue
+        side = mi.Vector3f(photons.normal) * dr.sign(dr.dot(photons.normal, photons.direction))
+        region = lookup(photons.position, side)
+        # Off the surface, as far as rays are kept from it.
+        origin = photons.position + 1e-4 * (1.0 + dr.max(dr.abs(photons.position))) * side
+        distance = scene.ray_intersect_preliminary(mi.Ray3f(origin, photons.direction)).t
+        distance = dr.select(dr.isfinite(distance), distance, 0.0)
+        place, line = (np.array(part, np.float64).T for part in (photons.position, photons.direction))
+        far, weight = (np.array(part, np.float64) for part in (distance, photons.weight))
+        found.append((place, line, far, weight, np.array(region, np.int64)))
+    return Photons(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
 def _some(parts: list[tuple[Floats, Floats]], count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.context.aims import Aims
 from elps_core.context.clustering import Clustering
 from elps_core.context.directional import DirectionalAccumulator
 from elps_core.context.pilot_image import PilotImage
@@ -57,6 +58,8 @@ class TableState:
     """Of what eye paths have found before the last step, see :meth:`DirectionalAccumulator.moments`."""
     chances: Doubles = field(default_factory=lambda: np.zeros((0, len(CHANCES))))
     """Variance by region and chance of a direction from the tables, of the last step."""
+    aims: Aims | None = None
+    """Once tables are filled, in scenes with mirrors or glass."""
     known: DirectionalParts | None = None
     """Tables of another camera in the same surroundings, in place of a clustering and of sums of radiance."""
 
@@ -76,6 +79,8 @@ class TableState:
             parts |= {f"clustering.{name}": array for name, array in self.clustering.arrays().items()}
         if self.areas is not None:
             parts["areas"] = self.areas
+        if self.aims is not None:
+            parts |= {f"aims.{name}": array for name, array in self.aims.arrays().items()}
         if self.known is not None:
             parts |= {f"known.{name}": array for name, array in self.known.arrays().items()}
         for name, source in self.sources.items():
@@ -107,6 +112,8 @@ class TableState:
         first = 0 if known else first
         count = known.regions.count if known else clustering.result().count if clustering and found else 0
         pieces = known.lights.shape[1] if known else lights.shape[-1]
+        aimed = _part(arrays, "aims")
+        aims = Aims.from_arrays(aimed, count) if aimed else None
         numbers = [pilot, newest, density, lights, colours, moments, chances, *([] if areas is None else [areas])]
         if (
             not 0 <= done <= steps
@@ -132,6 +139,7 @@ class TableState:
         self.density, self.lights = density.copy(), lights.copy()
         self.colours, self.moments, self.chances = colours.copy(), moments.copy(), chances.copy()
         self.clustering, self.areas, self.sources, self.known = clustering, areas, sources, known
+        self.aims = aims
 
 
 def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> Arrays:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
+from elps_core.context.aims import fit
 from elps_core.context.areas import region_areas
 from elps_core.context.clustering import Clustering, groups_of
 from elps_core.context.directional import DirectionalAccumulator, finish
@@ -25,6 +26,7 @@ from elps_core.context.gather import (
     caustics,
     gather,
     sampler,
+    seen_by_regions,
 )
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.pilot_image import PilotImage, regions_in_view
@@ -41,6 +43,7 @@ from elps_core.particles.records import IMPORTON, PHOTON, Particles
 from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
+from elps_core.sampling.aims import AimedDirections
 from elps_core.sampling.context import PixelWorth
 from elps_core.sampling.direction import ENOUGH, NEVER, Guide, GuidedDirections
 from elps_core.sampling.lights import pieces
@@ -51,8 +54,8 @@ from elps_core.settings import USUAL_PATHS, ContextSettings
 
 CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
 """Steps of a build for the clustering, and its own steps in each: 12 are enough for it."""
-REGIONS_PER_GROUP = 16
-"""Regions that lend each other what they know."""
+REGIONS_PER_GROUP, REGIONS_PER_AIM = 16, 8
+"""Regions that lend each other what they know, and that see mirrored lamps at the same points."""
 FIRST_PATHS, MOST_PATHS = 1 << 15, 1 << 20
 """Paths of the first step of filling; each next one has twice as many, up to the most."""
 TRAINING_SHARE = 0.6
@@ -69,6 +72,8 @@ LENT = 0.1
 LIGHT_PART = 4
 """Eye paths for one light path: photons tell what eye paths cannot find. With one for each, the door's context took 2
 of 11 seconds more and paths had 3% less variance; a bulb in glass asked for no more either."""
+FED = 1000.0
+"""Records that the middle one of all regions has to have: until then there is a light path for each eye path."""
 TRAINING_NOISE = 2.0
 """Noise of a path, over its pixel, that roulette assumes: less than there is, so that it ends few paths by tables that
 still change."""
@@ -99,6 +104,12 @@ class TableBuilder:
     def steps(self) -> int:
         """Steps in all."""
         return len(self.filling) + (1 + CLUSTER_STEPS if self._made.known is None else 0)
+
+    @property
+    def _starved(self) -> bool:
+        """Whether most regions hardly know where their light comes from."""
+        sources = [self._made.sources[name] for name in ("radiance", "photons") if name in self._made.sources]
+        return not sources or float(np.median(np.sum([source.evidence for source in sources], axis=0))) < FED
 
     @property
     def done(self) -> int:
@@ -197,6 +208,7 @@ class TableBuilder:
             prospects=self._prospects(),
             shares=self._shares(),
             departures=self._departures(),
+            aims=known.aims if known else self._made.aims,
         )
 
     def _light_tables(self) -> NDArray[np.float32]:
@@ -230,9 +242,12 @@ class TableBuilder:
 
     def _groups(self) -> NDArray[np.uint32]:
         if self._parents is None:
-            regions = self.regions
-            self._parents = groups_of(regions, max(1, regions.count // REGIONS_PER_GROUP), self.settings.seed)
+            self._parents = self._neighbours(REGIONS_PER_GROUP)
         return self._parents
+
+    def _neighbours(self, number: int) -> NDArray[np.uint32]:
+        regions = self.regions
+        return groups_of(regions, max(1, regions.count // number), self.settings.seed)
 
     def _finished(self, *names: str) -> DirectionalTables:
         sources = [self._made.sources[name] for name in names if name in self._made.sources]
@@ -282,22 +297,32 @@ class TableBuilder:
             self._made.sources.setdefault(name, DirectionalAccumulator(count, *grid))
         paths = self.filling[number]
         if walks and not known and number == 0:
-            self._aim(lights, finder, self._made.areas)
+            self._aim(lights, finder.lookup, self._made.areas)
         if walks:
             self._walk(lights, finder, self._made.areas, paths, number, key)
         else:
             self._collect(lights, finder, self._made.areas, paths, key)
         self._made.paths += paths
 
-    def _aim(self, lights: StartDensity, finder: GuidedDirections, areas: Doubles) -> None:
-        """What mirrors and glass bring, which neither eye paths nor other light paths meet often enough."""
-        aimed: DirectionalAccumulator | None = None
-        for photons in caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES):
-            aimed = aimed or DirectionalAccumulator(finder.lookup.count, self.settings.rows, self.settings.columns)
-            _enter(photons, finder, aimed, 2)
-            aimed.close_batch(areas)
-        if aimed and aimed.evidence.any():
-            self._made.sources[CAUSTICS] = aimed
+    def _aim(self, lights: StartDensity, lookup: RegionLookup, areas: Doubles) -> None:
+        """Find where mirrors and glass show lamps, which neither eye paths nor other light paths meet often enough."""
+        batches = caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES)
+        photons = seen_by_regions(self.scene, lookup, batches)
+        if not len(photons.weight):
+            return
+        cell = 4.0 * np.pi / (self.settings.rows * self.settings.columns)
+        self._made.aims = aims = fit(photons, areas, self._neighbours(REGIONS_PER_AIM), cell)
+        # Under a ball of glass lamps are seen at no one point, and so near that cells are fine enough.
+        peaks = DirectionalAccumulator(lookup.count, self.settings.rows, self.settings.columns)
+        towards = AimedDirections(aims, aims.roots.sum(axis=1))
+        where, line = (on_device(mi.Float, part) for part in (photons.position, photons.direction))
+        number = dr.arange(mi.UInt32, len(photons.weight))
+        region, direction = on_device(mi.UInt32, photons.region), dr.gather(mi.Vector3f, line, number)
+        aimed = towards.mixed(mi.Float(0.0), dr.gather(mi.Point3f, where, number), region, direction, mi.Bool(True))
+        weight = on_device(mi.Float, photons.weight) / (1.0 + aimed * cell)
+        peaks.add(region, direction, weight)
+        peaks.close_batch(areas)
+        self._made.sources[CAUSTICS] = peaks
 
     def _walk(
         self,
@@ -315,13 +340,15 @@ class TableBuilder:
         if number or known:
             tables = known.radiance if known else self._finished("radiance", "photons")
             radiance = DirectionalField(finder.lookup, tables)
+            aims = known.aims if known else self._made.aims
+            aimed = AimedDirections(aims, tables.irradiance) if aims else None
             # Light paths that know where the sensor is bring photons from what eye paths cannot find.
             light = None
             if number > 1 and not known:
                 light = Guide(DirectionalField(finder.lookup, self._finished("importance")), TRAINING_SHARE)
             # The kernel of the steps that follow, with roulette by albedo.
             enough = NEVER if number < BY_ALBEDO else ENOUGH
-            directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE), light, enough=enough)
+            directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE, aimed), light, enough=enough)
         if number:
             worth = PixelWorth(pilot.image(), TRAINING_NOISE, size)
         else:  # What importance is worth is not known before there is a pilot.
@@ -337,6 +364,7 @@ class TableBuilder:
             worth=worth,
         )
         pilot.begin_step()
+        hungry = self._starved
         recorder, regions = WalkRecorder(bdpt, finder), finder.lookup.count
         grid = (self.settings.rows, self.settings.columns)
         direct = on_device(mi.Float, self._made.lights)
@@ -366,7 +394,7 @@ class TableBuilder:
             importance.close_batch(here * areas)
             if photons is None:
                 continue
-            lit = max(1, here // LIGHT_PART)
+            lit = here if hungry else max(1, here // LIGHT_PART)
             recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours)
             photons.close_batch(lit * areas)
         if not known:

@@ -11,6 +11,7 @@ from elps_core.arrays import on_device
 from elps_core.context.field import DirectionalField
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.store import DirectionalParts
+from elps_core.sampling.aims import AimedDirections
 from elps_core.sampling.direction import Guide, GuidedDirections, Share
 
 CARE = 8.0
@@ -30,9 +31,10 @@ def guided(parts: DirectionalParts, *, eye: Share | None, light: Share | None) -
     With a chance of 0 tables serve roulette only; without one they are not loaded.
     """
     lookup = RegionLookup(parts.regions)
+    aims = AimedDirections(parts.aims, parts.radiance.irradiance) if parts.aims and eye is not None else None
     return GuidedDirections(
         lookup,
-        None if eye is None else Guide(DirectionalField(lookup, parts.radiance), eye),
+        None if eye is None else Guide(DirectionalField(lookup, parts.radiance), eye, aims),
         None if light is None else Guide(DirectionalField(lookup, parts.importance), light),
         prospects=parts.prospects,
     )

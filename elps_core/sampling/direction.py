@@ -29,6 +29,7 @@ from elps_core.paths.scattering import (
     seen_by_light,
 )
 from elps_core.paths.stream import Stream
+from elps_core.sampling.aims import AimedDirections
 from elps_core.scene.spectrum import luminance
 
 ENOUGH = 64
@@ -106,6 +107,23 @@ class Guide:
     field: DirectionalField
     share: Share
     """Chance of a direction from the table, where the material scatters at all; 0: the table serves roulette."""
+    aims: AimedDirections | None = None
+    """What takes part in the table, towards mirrors and glass."""
+
+    def sample(self, origin: mi.Point3f, region: mi.UInt32, u: mi.Point2f, active: mi.Bool) -> mi.Vector3f:
+        """A direction from ``origin`` in a region, as a unit vector in world space."""
+        if self.aims is None:
+            return self.field.sample(region, u, active)[0]
+        aimed, towards, left = self.aims.sample(origin, region, u, active)
+        by_table, _ = self.field.sample(region, left, active & ~aimed)
+        return dr.select(aimed, towards, by_table)
+
+    def pdf(self, origin: mi.Point3f, region: mi.UInt32, direction: mi.Vector3f, active: mi.Bool) -> mi.Float:
+        """Density per solid angle with which :meth:`sample` draws the unit vector ``direction``."""
+        by_table = self.field.pdf(region, direction, active)
+        if self.aims is None:
+            return by_table
+        return self.aims.mixed(by_table, origin, region, direction, active)
 
 
 class GuidedDirections(Directions):
@@ -127,11 +145,11 @@ class GuidedDirections(Directions):
         self.lookup = lookup
         self._prospects = None if prospects is None else on_device(mi.Float, prospects)
         self._enough = dr.opaque(mi.UInt32, enough)
-        self._guides: dict[Side, Guide | None] = {"eye": eye, "light": light}
+        self.guides: dict[Side, Guide | None] = {"eye": eye, "light": light}
         # By region in any case: one kernel for both.
         self._shares: dict[Side, mi.Float] = {
             side: on_device(mi.Float, np.broadcast_to(np.float32(guide.share), lookup.count))
-            for side, guide in self._guides.items()
+            for side, guide in self.guides.items()
             if guide and np.any(np.asarray(guide.share) > 0.0)
         }
 
@@ -148,7 +166,7 @@ class GuidedDirections(Directions):
     def sample(self, si: mi.SurfaceInteraction3f, stream: Stream, side: Side, active: mi.Bool) -> Scattered:
         """As of :class:`Directions`: by table or by scattering, and weighted by the density of both together."""
         smooth = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
-        guide = self._guides[side]
+        guide = self.guides[side]
         if guide is None or side not in self._shares:
             event = super().sample(si, stream, side, active)
         else:
@@ -160,9 +178,9 @@ class GuidedDirections(Directions):
             # What is left of the number chooses the direction.
             left = dr.select(by_table, u.x / share, (u.x - share) / (1.0 - share))
             u.x = dr.clip(left, 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
-            direction, _ = guide.field.sample(region, u, by_table)
+            direction = guide.sample(si.p, region, u, by_table)
             event = sample_mixed(si, by_table, si.to_local(direction), u_lobe, u, side, active)
-            event.by_table = guide.field.pdf(region, si.to_world(event.wo), here & ~event.delta)
+            event.by_table = guide.pdf(si.p, region, si.to_world(event.wo), here & ~event.delta)
             pdf = dr.lerp(event.pdf, event.by_table, share)
             # Roulette asks what the material keeps, not how well the table has chosen.
             albedo = dr.select(event.pdf > 0.0, event.weight / event.pdf, 1.0)
@@ -185,13 +203,13 @@ class GuidedDirections(Directions):
         active: mi.Bool,
     ) -> Outlook:
         """By the region's table, where it rests on enough records, and the surface is one that regions are made for."""
-        guide = self._guides[side]
+        guide = self.guides[side]
         if guide is None:
             return super().expected(si, event, direction, cos_out, beta, side, active)
         active = active & ~event.delta
         region = self.region(si, si.wi, active)
         drawn = side in self._shares and event.by_table is not None
-        by_table = event.by_table if drawn else guide.field.pdf(region, direction, active)
+        by_table = event.by_table if drawn else guide.pdf(si.p, region, direction, active)
         # The mean radiance at least, whatever the direction: tables do not know of every caustic, and paths that
         # are thinned out before they find one become fireflies.
         incident = guide.field.irradiance(region, active) * dr.maximum(by_table / cos_out, dr.inv_pi)
@@ -220,11 +238,11 @@ class GuidedDirections(Directions):
         active: mi.Bool,
     ) -> mi.Float:
         """Density with which a path on ``side`` that comes from ``wi`` draws ``wo``, ``pdf`` that of scattering."""
-        guide = self._guides[side]
+        guide = self.guides[side]
         if guide is None or side not in self._shares:
             return pdf
         region = self.region(si, wi, active)
-        by_table = guide.field.pdf(region, si.to_world(wo), active)
+        by_table = guide.pdf(si.p, region, si.to_world(wo), active)
         return dr.select(smooth, dr.lerp(pdf, by_table, dr.gather(mi.Float, self._shares[side], region, active)), pdf)
 
 
