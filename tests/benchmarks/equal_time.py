@@ -40,7 +40,7 @@ class Duel:
 
 def equal_time(duel: Duel, seconds: float, reference_seconds: float, runs: int) -> list[str]:
     """A table as lines of Markdown; each way renders ``runs`` times, in turns."""
-    results: dict[str, list[tuple[float, float, float, float, int]]] = {name: [] for name in duel.ways}
+    results: dict[str, list[tuple[float, ...]]] = {name: [] for name in duel.ways}
     with tempfile.TemporaryDirectory(prefix="elps-bench-") as name:
         image, converged = Path(name) / "image.exr", Path(name) / "reference.exr"
         made = render(duel.scene, converged, duel.size, reference_seconds, REFERENCE_SEED, *duel.reference)
@@ -55,8 +55,12 @@ def equal_time(duel: Duel, seconds: float, reference_seconds: float, runs: int) 
                 picture = read_exr(image)[0]["image"]
                 taken = float(figures["seconds_total"])
                 error, trimmed = rel_mse(picture, reference) - own, rel_mse(picture, reference, trim=TRIM) - own_trimmed
-                results[way].append((1 / (error * taken), 1 / (trimmed * taken), error, trimmed, int(figures["spp"])))
-                print(duel.title, way, turn, f"{error:.5f} {trimmed:.5f}", figures["spp"], flush=True)
+                before = figures["seconds_context"], figures["seconds_compile"]
+                results[way].append(
+                    (1 / (error * taken), 1 / (trimmed * taken), error, trimmed, figures["spp"], *before)
+                )
+                chosen = (figures.get("choice") or {}).get("name", "")
+                print(duel.title, way, turn, f"{error:.5f} {trimmed:.5f}", figures["spp"], *before, chosen, flush=True)
                 if turn == 0 and way in duel.pictures:
                     duel.pictures[way].write_bytes(to_png(picture))
     lines = [
@@ -69,15 +73,17 @@ def equal_time(duel: Duel, seconds: float, reference_seconds: float, runs: int) 
         "Efficiency is 1 / (relMSE seconds), as a ratio to `mi_path`, and to `mi_path` without roulette"
         + (": mean and range of the runs." if runs > 1 else "."),
         "",
-        "| | samples per pixel | relMSE | trimmed | to `mi_path` | trimmed | to it without roulette | trimmed |",
-        "|---|---|---|---|---|---|---|---|",
+        "| | context, compilation (s) | samples per pixel | relMSE | trimmed | to `mi_path` | trimmed "
+        "| to it without roulette | trimmed |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     to, plain = (np.array(results[way]).mean(axis=0) for way in PLAIN)
     for way, rows in results.items():
         table = np.array(rows)
         mean = table.mean(axis=0)
         ratios = [_range(table[:, kind] / peer[kind]) for peer in (to, plain) for kind in (0, 1)]
-        lines.append(f"| {way} | {mean[4]:.0f} | {mean[2]:.5f} | {mean[3]:.5f} | {' | '.join(ratios)} |")
+        first = f"{way} | {mean[5]:.1f}, {mean[6]:.1f} | {mean[4]:.0f}"
+        lines.append(f"| {first} | {mean[2]:.5f} | {mean[3]:.5f} | {' | '.join(ratios)} |")
     return [*lines, ""]
 
 
