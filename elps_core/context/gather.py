@@ -6,13 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.context.aims import Photons
-from elps_core.context.lookup import RegionLookup
 from elps_core.context.saved import DENSITY_SIDE
 from elps_core.errors import SceneRejected
 from elps_core.particles.bidirectional import BidirectionalSampler
@@ -114,25 +111,6 @@ def caustics(scene: mi.Scene, settings: ContextSettings, lights: StartDensity, p
     paths = CAUSTIC_PATHS if purpose == AIMED_FOR_REGIONS else 2 * CAUSTIC_PATHS
     aimed = CausticSampler(scene, lights, max_depth=settings.max_depth, paths=paths)
     return aimed.run((settings.seed, STREAM, purpose))
-
-
-def seen_by_regions(scene: mi.Scene, lookup: RegionLookup, batches: Iterator[Particles]) -> Photons:
-    """Photons of :func:`caustics` on the host, by region, with the way back to the mirror or the glass."""
-    nothing = np.zeros((0, 3))
-    found = [(nothing, nothing, nothing[:, 0], nothing[:, 0], np.zeros(0, np.int64))]
-    for photons in batches:
-        if not len(photons):
-            continue
-        side = mi.Vector3f(photons.normal) * dr.sign(dr.dot(photons.normal, photons.direction))
-        region = lookup(photons.position, side)
-        # Off the surface, as far as rays are kept from it.
-        origin = photons.position + 1e-4 * (1.0 + dr.max(dr.abs(photons.position))) * side
-        distance = scene.ray_intersect_preliminary(mi.Ray3f(origin, photons.direction)).t
-        distance = dr.select(dr.isfinite(distance), distance, 0.0)
-        place, line = (np.array(part, np.float64).T for part in (photons.position, photons.direction))
-        far, weight = (np.array(part, np.float64) for part in (distance, photons.weight))
-        found.append((place, line, far, weight, np.array(region, np.int64)))
-    return Photons(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
 def _some(parts: list[tuple[Floats, Floats]], count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
-from elps_core.context.aims import fit
 from elps_core.context.areas import region_areas
 from elps_core.context.clustering import Clustering, groups_of
 from elps_core.context.directional import DirectionalAccumulator, finish
@@ -26,9 +25,9 @@ from elps_core.context.gather import (
     caustics,
     gather,
     sampler,
-    seen_by_regions,
 )
 from elps_core.context.lookup import RegionLookup
+from elps_core.context.mirrored import Places, mirrored
 from elps_core.context.pilot_image import PilotImage, regions_in_view
 from elps_core.context.prospects import prospects_of
 from elps_core.context.regions import Regions
@@ -297,32 +296,15 @@ class TableBuilder:
             self._made.sources.setdefault(name, DirectionalAccumulator(count, *grid))
         paths = self.filling[number]
         if walks and not known and number == 0:
-            self._aim(lights, finder.lookup, self._made.areas)
+            places = Places(finder.lookup, self._made.areas, self._neighbours(REGIONS_PER_AIM), grid)
+            found = mirrored(self.scene, places, caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES))
+            if found:
+                self._made.aims, self._made.sources[CAUSTICS] = found
         if walks:
             self._walk(lights, finder, self._made.areas, paths, number, key)
         else:
             self._collect(lights, finder, self._made.areas, paths, key)
         self._made.paths += paths
-
-    def _aim(self, lights: StartDensity, lookup: RegionLookup, areas: Doubles) -> None:
-        """Find where mirrors and glass show lamps, which neither eye paths nor other light paths meet often enough."""
-        batches = caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES)
-        photons = seen_by_regions(self.scene, lookup, batches)
-        if not len(photons.weight):
-            return
-        cell = 4.0 * np.pi / (self.settings.rows * self.settings.columns)
-        self._made.aims = aims = fit(photons, areas, self._neighbours(REGIONS_PER_AIM), cell)
-        # Under a ball of glass lamps are seen at no one point, and so near that cells are fine enough.
-        peaks = DirectionalAccumulator(lookup.count, self.settings.rows, self.settings.columns)
-        towards = AimedDirections(aims, aims.roots.sum(axis=1))
-        where, line = (on_device(mi.Float, part) for part in (photons.position, photons.direction))
-        number = dr.arange(mi.UInt32, len(photons.weight))
-        region, direction = on_device(mi.UInt32, photons.region), dr.gather(mi.Vector3f, line, number)
-        aimed = towards.mixed(mi.Float(0.0), dr.gather(mi.Point3f, where, number), region, direction, mi.Bool(True))
-        weight = on_device(mi.Float, photons.weight) / (1.0 + aimed * cell)
-        peaks.add(region, direction, weight)
-        peaks.close_batch(areas)
-        self._made.sources[CAUSTICS] = peaks
 
     def _walk(
         self,
