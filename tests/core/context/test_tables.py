@@ -236,6 +236,20 @@ def test_without_mirrors_and_glass_there_are_no_caustics(state: dict[str, Array]
     assert not any(name.startswith("tables.caustics") for name in state)
 
 
+def test_regions_that_hardly_know_light_get_more_photons(box: LoadedScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    from elps_core.context import tables
+
+    exposure = []
+    for fed in (0.0, float("inf")):
+        monkeypatch.setattr(tables, "FED", fed)
+        builder = builder_of(box, paths=1 << 15)
+        while builder.done < builder.steps:
+            builder.step()
+        exposure.append(load_tensors(builder.to_bytes())["tables.photons.exposure"].sum(axis=0))
+    # Of light paths, times areas that both have measured of regions of their own.
+    assert exposure[1].sum() == pytest.approx(tables.LIGHT_PART * exposure[0].sum(), rel=0.05)
+
+
 def test_steps_go_on_where_they_were_saved(box: LoadedScene) -> None:
     """Each step from a saved state makes the same of it, but for the order of sums."""
     ours = builder_of(box, paths=1 << 16)
