@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import drjit as dr
@@ -29,6 +29,7 @@ from elps_core.context.gather import (
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.mirrored import Places, mirrored
 from elps_core.context.pilot_image import PilotImage, regions_in_view
+from elps_core.context.plan import FIRST_PATHS, filling
 from elps_core.context.prospects import prospects_of
 from elps_core.context.regions import Regions
 from elps_core.context.saved import CAUSTICS, DEPARTURES, SOURCES, Arrays, Doubles, TableState
@@ -55,8 +56,6 @@ CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
 """Steps of a build for the clustering, and its own steps in each: 12 are enough for it."""
 REGIONS_PER_GROUP, REGIONS_PER_AIM = 16, 8
 """Regions that lend each other what they know, and that see mirrored lamps at the same points."""
-FIRST_PATHS, MOST_PATHS = 1 << 15, 1 << 20
-"""Paths of the first step of filling; each next one has twice as many, up to the most."""
 TRAINING_SHARE = 0.6
 """Chance of a direction from the tables so far: less than in renders, since they are to change."""
 RECORDS = 1 << 21
@@ -95,7 +94,7 @@ class TableBuilder:
     def filling(self) -> list[int]:
         """Paths of each step that fills the tables."""
         if self._made.known is None:
-            return list(_filling(self._paths))
+            return list(filling(self._paths))
         fewer = max(FIRST_PATHS, int(SHARE * self._paths))
         return [fewer // 4, fewer - fewer // 4]
 
@@ -442,15 +441,3 @@ def _enter(particles: Particles, finder: GuidedDirections, table: DirectionalAcc
     region = finder.lookup(particles.position, side)
     table.add(region, particles.direction, particles.weight, particles.depth >= first)
     dr.eval(table.state)
-
-
-def _filling(paths: int) -> Iterator[int]:
-    """Sizes of the steps that fill tables: each twice the one before, bounded, ``paths`` in all."""
-    size = FIRST_PATHS
-    while paths > 0:
-        step = min(size, paths)
-        # What would be left as less than a half belongs to this step.
-        step = paths if paths - step < step // 2 else step
-        yield step
-        paths -= step
-        size = min(2 * size, MOST_PATHS)

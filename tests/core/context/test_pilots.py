@@ -66,7 +66,7 @@ def test_training_stops_where_scouts_see_that_tables_do_not_pay(
 ) -> None:
     from elps_core import choice
     from elps_core.context.build import SCOUTED_AFTER, ContextBuilder
-    from elps_core.context.tables import FIRST_PATHS
+    from elps_core.context.plan import FIRST_PATHS
 
     # Whatever tables have won, they win nothing again; or nothing is clear.
     monkeypatch.setattr(choice, "MOST_GAIN", 1e-9)

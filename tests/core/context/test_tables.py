@@ -373,14 +373,14 @@ def test_tables_that_are_good_enough_are_not_filled_further(box: LoadedScene) ->
 def test_steps_that_win_nothing_are_the_last(
     box: LoadedScene, tolerance: float, stops: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from elps_core.context import tables
+    from elps_core.context import plan, tables
 
     monkeypatch.setattr(tables, "WORTHWHILE", 1e9)
     builder = builder_of(box, tolerance=tolerance, paths=1 << 20)
     while builder.done < builder.steps:
         builder.step()
     # The first two that are compared have roulette both.
-    least = sum(tables.FIRST_PATHS << step for step in range(tables.BY_ALBEDO + 2))
+    least = sum(plan.FIRST_PATHS << step for step in range(tables.BY_ALBEDO + 2))
     assert builder.result().statistics["table_paths"] == (least if stops else 1 << 20)
 
 

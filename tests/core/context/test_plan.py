@@ -17,9 +17,9 @@ def _variant(mi: Any) -> None:
 
 @pytest.mark.parametrize("paths", [1024, 1 << 15, 100_000, 3 << 19, USUAL_PATHS, 10**8 + 7])
 def test_steps_take_all_paths_and_no_more_than_a_few_seconds(paths: int) -> None:
-    from elps_core.context.tables import FIRST_PATHS, MOST_PATHS, _filling
+    from elps_core.context.plan import FIRST_PATHS, MOST_PATHS, filling
 
-    steps = list(_filling(paths))
+    steps = list(filling(paths))
     assert sum(steps) == paths
     assert steps[0] <= 1.5 * FIRST_PATHS
     # At 0.4 million pairs of paths a second, on two cores, the longest takes four seconds.
