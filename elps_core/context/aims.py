@@ -37,6 +37,8 @@ PRIOR, USUAL_SPREAD = 2.0, 0.02
 make it a point."""
 WIDEST = 4.0
 """Cells of a table that light is spread over which the table knows well enough."""
+LARGEST = 1e15
+"""Coordinates, and roots, beyond which squares and sums in kernels would leave the range of a float."""
 TINY = 1e-12
 """In place of nothing, where something is divided by it."""
 BORROWED = 4.0
@@ -50,7 +52,7 @@ class Photons:
     position: Doubles  # [n, 3]
     direction: Doubles  # [n, 3], unit vectors, to where it came from
     distance: Doubles  # [n], to the mirror or the glass there
-    weight: Doubles  # [n], of any scale
+    weight: Doubles  # [n], W^2 / (m^2 sr), as of :class:`elps_core.particles.caustics.CausticSampler`
     region: NDArray[np.int64]  # [n]
 
 
@@ -79,7 +81,7 @@ class Aims:
         fits = (
             (points.shape, roots.shape) == ((regions, POINTS, 4), (regions, POINTS))
             and points.dtype == roots.dtype == np.float32
-            and bool(np.isfinite(points).all() and np.isfinite(roots).all())
+            and bool((np.abs(points) < LARGEST).all() and (roots < LARGEST).all())
             and bool((roots >= 0.0).all() and (points[..., 3] > 0.0).all())
         )
         if not fits:
@@ -90,10 +92,9 @@ class Aims:
 def fit(photons: Photons, areas: Doubles, groups: NDArray[np.integer[Any]], cell: float) -> Aims:
     """Points for each group of regions, by expectation maximisation; regions of a group see the same.
 
-    Regions have ``areas`` [K] and belong to ``groups`` [K]. Weights of photons are as of
-    :class:`elps_core.particles.caustics.CausticSampler`: what the points are drawn by has the least variance where its
-    density is the root of what they have summed up. What is seen as wider than :data:`WIDEST` times ``cell``, the solid
-    angle of a cell of a table, is left to tables.
+    Regions have ``areas`` [K], in the scene's units squared, and belong to ``groups`` [K]. What points are drawn by has
+    the least variance where its density is the root of what weights have summed up. What is seen as wider than
+    :data:`WIDEST` times ``cell``, the solid angle of a cell of a table, is left to tables.
     """
     count = int(groups.max()) + 1
     of_group = groups[photons.region].astype(np.int64)

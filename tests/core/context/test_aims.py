@@ -102,6 +102,8 @@ def changed(name: str, value: Any) -> dict[str, Array]:
         changed("points", np.ones((7, POINTS, 4), np.float32)),
         changed("points", np.zeros((8, POINTS, 4), np.float32)),
         changed("points", np.full((8, POINTS, 4), np.nan, np.float32)),
+        changed("points", np.full((8, POINTS, 4), 1e30, np.float32)),
+        changed("roots", np.full((8, POINTS), np.inf, np.float32)),
         changed("roots", -np.ones((8, POINTS), np.float32)),
         changed("roots", np.ones((8, POINTS))),
         {"roots": np.ones((8, POINTS), np.float32)},
