@@ -331,9 +331,8 @@ def suited(settings: RenderSettings, stop: StopCriterion) -> RenderSettings:
     if settings.context.paths is not None or not settings.needs_tables:
         return settings
     seconds = USUAL_SECONDS if stop.seconds is None else stop.seconds
-    octaves = math.floor(math.log2(seconds / USUAL_SECONDS))
-    paths = min(max(USUAL_PATHS * 2.0**octaves, LEAST_PATHS), MOST_PATHS)
-    return with_overrides(settings, {"context.paths": int(paths)})
+    paths = min(max(USUAL_PATHS * seconds / USUAL_SECONDS, LEAST_PATHS), MOST_PATHS)
+    return with_overrides(settings, {"context.paths": 1 << math.floor(math.log2(paths))})
 
 
 def first_problem(error: ValidationError) -> str:

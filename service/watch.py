@@ -46,7 +46,7 @@ def share_done(job: Job) -> float:
         shares.append((time.time() - job.started) / job.stop.seconds)
     if job.stop.error is not None and job.relative_error:
         # The error falls with the square root of the samples.
-        shares.append((job.stop.error / job.relative_error) ** 2)
+        shares.append(min(1.0, job.stop.error / job.relative_error) ** 2)
     return min(1.0, max(shares))
 
 

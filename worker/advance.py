@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from itertools import count
+from math import isfinite
 from typing import NamedTuple
 
 from elps_core.estimate.stats import MIN_CHUNKS
@@ -135,9 +136,11 @@ def eta_seconds(entry: JobEntry, now: float) -> float | None:
     if stop.samples is not None:
         estimates.append(rendering * (stop.samples / job.samples_done - 1.0))
     if stop.error is not None and job.relative_error is not None:
-        # The error falls with the square root of the samples.
-        estimates.append(rendering * ((job.relative_error / stop.error) ** 2 - 1.0))
-    return max(min(estimates), 0.0) if estimates else None
+        # The error falls with the square root of the samples. A product: a power out of a float's range raises.
+        ratio = job.relative_error / stop.error
+        estimates.append(rendering * (ratio * ratio - 1.0))
+    known = [estimate for estimate in estimates if isfinite(estimate)]
+    return max(min(known), 0.0) if known else None
 
 
 def _reached(entry: JobEntry, now: float) -> bool:

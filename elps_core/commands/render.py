@@ -201,7 +201,7 @@ def _share(stop: StopCriterion, merged: Accumulation, begin: float) -> float:
         shares.append((time.perf_counter() - begin) / stop.seconds)
     if stop.error is not None:
         error = merged.relative_error()
-        shares.append((stop.error / error) ** 2 if error else 0.0)
+        shares.append(min(1.0, stop.error / error) ** 2 if error else 0.0)
     return min(1.0, max(shares))
 
 

@@ -127,6 +127,7 @@ def test_a_preset_fills_what_is_not_given() -> None:
         ({"seconds": 30.0}, 2**20),
         ({"seconds": 29.0}, 2**19),
         ({"seconds": 0.5}, 2**17),
+        ({"seconds": 5e-324}, 2**17),
         ({"seconds": 1e6}, 2**23),
         ({"samples": 4}, 2**21),
     ],

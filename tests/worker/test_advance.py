@@ -140,3 +140,5 @@ def test_eta_is_that_of_the_first_limit() -> None:
     quarter = entry(StopCriterion(error=0.1), merged=(0, 1), relative_error=0.2)
     assert eta_seconds(quarter, 5.0) == pytest.approx(15.0)
     assert eta_seconds(entry(StopCriterion(samples=8)), 6.0) is None
+    hopeless = StopCriterion(error=5e-324)
+    assert eta_seconds(entry(hopeless, merged=(0, 1, 2), relative_error=0.2), 5.0) is None
