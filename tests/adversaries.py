@@ -8,6 +8,7 @@ import numpy as np
 
 from elps_core.context.aims import POINTS, Aims
 from elps_core.context.encoding import DirectionalTables
+from elps_core.context.slits import LARGEST_CHANCE, MOST, Slits
 from elps_core.context.store import DirectionalParts
 
 Array = np.ndarray[Any, Any]
@@ -62,6 +63,7 @@ def parts(scene: Any, kind: Kind) -> DirectionalParts:
         rng.uniform(0.05, 0.95, count).astype(np.float32),
         leaving,
         _aims(rng, low, high, count),
+        _slits(rng, low, high, count),
     )
 
 
@@ -71,3 +73,12 @@ def _aims(rng: np.random.Generator, low: Array, high: Array, count: int) -> Aims
     spread = (rng.uniform(0.02, 0.3, (count, POINTS, 1)) * np.linalg.norm(high - low)) ** 2
     roots = 0.2 * rng.random((count, POINTS)) ** 2
     return Aims(np.concatenate([place, spread], axis=-1).astype(np.float32), roots.astype(np.float32))
+
+
+def _slits(rng: np.random.Generator, low: Array, high: Array, count: int) -> Slits:
+    """Slits anywhere in a box."""
+    ends = low + rng.random((MOST, 2, 3)) * (high - low)
+    spread = 10.0 ** rng.uniform(-3.0, -0.5, MOST) * np.linalg.norm(high - low)
+    chances = LARGEST_CHANCE * rng.random(count) ** 2
+    which = rng.integers(MOST, size=count, dtype=np.uint32)
+    return Slits(ends.astype(np.float32), spread.astype(np.float32), which, chances.astype(np.float32))

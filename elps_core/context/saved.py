@@ -14,6 +14,7 @@ from elps_core.context.clustering import Clustering
 from elps_core.context.directional import DirectionalAccumulator
 from elps_core.context.pilot_image import PilotImage
 from elps_core.context.shares import CHANCES
+from elps_core.context.slits import Slits
 from elps_core.context.store import DirectionalParts
 from elps_core.errors import ContextMismatch
 
@@ -60,6 +61,8 @@ class TableState:
     """Variance by region and chance of a direction from the tables, of the last step."""
     aims: Aims | None = None
     """Once tables are filled, in scenes with mirrors or glass."""
+    slits: Slits | None = None
+    """Once they have been looked for, in scenes with gaps that light comes through."""
     known: DirectionalParts | None = None
     """Tables of another camera in the same surroundings, in place of a clustering and of sums of radiance."""
 
@@ -81,6 +84,8 @@ class TableState:
             parts["areas"] = self.areas
         if self.aims is not None:
             parts |= {f"aims.{name}": array for name, array in self.aims.arrays().items()}
+        if self.slits is not None:
+            parts |= {f"slits.{name}": array for name, array in self.slits.arrays().items()}
         if self.known is not None:
             parts |= {f"known.{name}": array for name, array in self.known.arrays().items()}
         for name, source in self.sources.items():
@@ -112,8 +117,9 @@ class TableState:
         first = 0 if known else first
         count = known.regions.count if known else clustering.result().count if clustering and found else 0
         pieces = known.lights.shape[1] if known else lights.shape[-1]
-        aimed = _part(arrays, "aims")
+        aimed, gaps = _part(arrays, "aims"), _part(arrays, "slits")
         aims = Aims.from_arrays(aimed, count) if aimed else None
+        slits = Slits.from_arrays(gaps, count) if gaps else None
         numbers = [pilot, newest, density, lights, colours, moments, chances, *([] if areas is None else [areas])]
         if (
             not 0 <= done <= steps
@@ -139,7 +145,7 @@ class TableState:
         self.density, self.lights = density.copy(), lights.copy()
         self.colours, self.moments, self.chances = colours.copy(), moments.copy(), chances.copy()
         self.clustering, self.areas, self.sources, self.known = clustering, areas, sources, known
-        self.aims = aims
+        self.aims, self.slits = aims, slits
 
 
 def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> Arrays:

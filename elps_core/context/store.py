@@ -16,10 +16,11 @@ from safetensors.numpy import save as save_tensors
 from elps_core.context.aims import Aims
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.regions import Regions
+from elps_core.context.slits import Slits
 from elps_core.errors import ContextMismatch
 from elps_core.settings import ContextSettings
 
-FORMAT = "elps-context-5"
+FORMAT = "elps-context-6"
 """Name and version of the file format: safetensors with the facts as JSON metadata."""
 MAX_HEADER = 1 << 20
 """Bytes of metadata that a file may claim; ours have a few hundred."""
@@ -68,6 +69,8 @@ class DirectionalParts:
     """Where light that reaches the image leaves the emitters' pieces to [pieces, rows, columns]; None: not measured."""
     aims: Aims | None = None
     """Where eye paths meet a lamp by way of mirrors and glass; None in scenes without."""
+    slits: Slits | None = None
+    """Gaps that regions are lit through; None where none was found."""
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything by name, for a file."""
@@ -79,6 +82,7 @@ class DirectionalParts:
             **({} if self.prospects is None else {"prospects": {"eye": self.prospects}}),
             **({} if self.shares is None else {"shares": {"eye": self.shares}}),
             **({"aims": self.aims.arrays()} if self.aims else {}),
+            **({"slits": self.slits.arrays()} if self.slits else {}),
         }
         named = {f"{part}.{name}": array for part, owned in parts.items() for name, array in owned.items()}
         noise = np.array([self.noise], np.float32)
@@ -106,8 +110,9 @@ class DirectionalParts:
         radiance, importance = (DirectionalTables.from_arrays(part(name)) for name in ("radiance", "importance"))
         leaving = part("departures")
         departures = DirectionalTables.from_arrays(leaving) if leaving else None
-        aimed = part("aims")
+        aimed, gaps = part("aims"), part("slits")
         aims = Aims.from_arrays(aimed, regions.count) if aimed else None
+        slits = Slits.from_arrays(gaps, regions.count) if gaps else None
         prospects, shares = (part(name).get("eye") for name in ("prospects", "shares"))
         try:
             pilot, lights, view, density = (arrays[name] for name in ("pilot", "lights", "view", "density"))
@@ -134,7 +139,8 @@ class DirectionalParts:
         ):
             raise ContextMismatch("the tables of the context are damaged: build it again")
         return DirectionalParts(
-            regions, radiance, importance, pilot, noise, lights, view, density, prospects, shares, departures, aims
+            *(regions, radiance, importance, pilot, noise, lights, view, density),
+            *(prospects, shares, departures, aims, slits),
         )
 
 

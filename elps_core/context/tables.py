@@ -16,6 +16,7 @@ from elps_core.context.clustering import Clustering, groups_of
 from elps_core.context.directional import DirectionalAccumulator, finish
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.field import DirectionalField
+from elps_core.context.gaps import slits, thinned
 from elps_core.context.gather import (
     AIMED_FOR_TABLES,
     AREAS,
@@ -43,8 +44,7 @@ from elps_core.particles.records import IMPORTON, PHOTON, Particles
 from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
-from elps_core.sampling.aims import AimedDirections
-from elps_core.sampling.context import PixelWorth
+from elps_core.sampling.context import PixelWorth, towards
 from elps_core.sampling.direction import ENOUGH, NEVER, Guide, GuidedDirections
 from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
@@ -54,8 +54,10 @@ from elps_core.settings import USUAL_PATHS, ContextSettings
 
 CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
 """Steps of a build for the clustering, and its own steps in each: 12 are enough for it."""
-REGIONS_PER_GROUP, REGIONS_PER_AIM = 16, 8
-"""Regions that lend each other what they know, and that see mirrored lamps at the same points."""
+REGIONS_PER_GROUP, REGIONS_PER_AIM, REGIONS_PER_SLIT = 16, 8, 128
+"""Regions that lend each other what they know, that see mirrored lamps at the same points, and the same slits."""
+SLITS_AT = 3
+"""Step of filling whose photons tell of slits: of the door's room, 3 degrees ajar, it has 6000."""
 TRAINING_SHARE = 0.6
 """Chance of a direction from the tables so far: less than in renders, since they are to change."""
 RECORDS = 1 << 21
@@ -207,6 +209,7 @@ class TableBuilder:
             shares=self._shares(),
             departures=self._departures(),
             aims=known.aims if known else self._made.aims,
+            slits=known.slits if known else self._made.slits,
         )
 
     def _light_tables(self) -> NDArray[np.float32]:
@@ -321,15 +324,15 @@ class TableBuilder:
         if number or known:
             tables = known.radiance if known else self._finished("radiance", "photons")
             radiance = DirectionalField(finder.lookup, tables)
-            aims = known.aims if known else self._made.aims
-            aimed = AimedDirections(aims, tables.irradiance) if aims else None
+            places = known or self._made
+            around = towards(places.aims, places.slits, tables.irradiance)
             # Light paths that know where the sensor is bring photons from what eye paths cannot find.
             light = None
             if number > 1 and not known:
                 light = Guide(DirectionalField(finder.lookup, self._finished("importance")), TRAINING_SHARE)
             # The kernel of the steps that follow, with roulette by albedo.
             enough = NEVER if number < BY_ALBEDO else ENOUGH
-            directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE, aimed), light, enough=enough)
+            directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE, around), light, enough=enough)
         if number:
             worth = PixelWorth(pilot.image(), TRAINING_NOISE, size)
         else:  # What importance is worth is not known before there is a pilot.
@@ -356,6 +359,7 @@ class TableBuilder:
         leaving = self._made.sources.get(DEPARTURES)
         seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.lookup.count, *grid)
         photons = self._made.sources.get("photons")
+        kept = thinned(photons.evidence, now=number == SLITS_AT) if photons and number > 1 else None
         if not known:
             self._made.moments = seen.moments()
         colours = on_device(mi.Float, self._made.colours if self._made.colours.size else np.zeros((regions, 3)))
@@ -376,8 +380,11 @@ class TableBuilder:
             if photons is None:
                 continue
             lit = here if hungry else max(1, here // LIGHT_PART)
-            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours)
+            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours, kept)
             photons.close_batch(lit * areas)
+        if kept and number == SLITS_AT:
+            groups, cell = self._neighbours(REGIONS_PER_SLIT), 4.0 * np.pi / (grid[0] * grid[1])
+            self._made.slits = slits(kept, finder.lookup, groups, self._groups(), cell, self.settings.seed)
         if not known:
             self._made.colours = np.array(colours, np.float64).reshape(regions, 3)
         if trial:

@@ -18,6 +18,7 @@ import mitsuba as mi
 from elps_core.context.directional import DirectionalAccumulator
 from elps_core.context.shares import ShareTrial
 from elps_core.integrators.bdpt import Bdpt
+from elps_core.particles.records import PHOTON, ParticleBuffer
 from elps_core.paths.scattering import Scattered
 from elps_core.paths.stream import Stream
 from elps_core.paths.turns import Turns
@@ -45,6 +46,15 @@ class _Light:
 
     path: mi.UInt32
     scale: mi.UnpolarizedSpectrum  # Weight of the wavelengths
+
+
+@dataclass(frozen=True)
+class Thinned:
+    """Photons that are kept one by one, of each region with a chance of its own."""
+
+    chances: mi.Float
+    """[regions]"""
+    buffer: ParticleBuffer
 
 
 class WalkRecorder:
@@ -175,11 +185,16 @@ class WalkRecorder:
         return found
 
     def light_paths(
-        self, paths: int, stream: Stream, radiance: DirectionalAccumulator, colours: mi.Float | None = None
+        self,
+        paths: int,
+        stream: Stream,
+        radiance: DirectionalAccumulator,
+        colours: mi.Float | None = None,
+        kept: Thinned | None = None,
     ) -> None:
         """``paths`` from the lights, in the lanes of ``stream``; every vertex is a photon [thesis (5.11)].
 
-        Where light has colours their sums go to ``colours`` [regions * 3], in linear RGB.
+        Where light has colours their sums go to ``colours`` [regions * 3], in linear RGB. Some photons are ``kept``.
         """
         bdpt = self.bdpt
         lanes = dr.width(stream)
@@ -199,6 +214,9 @@ class WalkRecorder:
             # Light that comes straight from a lamp is the business of light sampling.
             indirect = smooth & (vertex.depth > 1)
             radiance.add(region, vertex.si.to_world(vertex.si.wi), weight, indirect)
+            if kept:
+                here = indirect & (walk.stream.next_1d() < dr.gather(mi.Float, kept.chances, region, indirect))
+                kept.buffer.record(vertex.si, weight, vertex.depth, PHOTON, here)
             if mi.is_rgb and colours is not None:
                 for k, amount in enumerate(mi.UnpolarizedSpectrum(vertex.beta)):
                     some = indirect & dr.isfinite(amount)
@@ -226,7 +244,7 @@ class WalkRecorder:
             renew=renew,
             going=lambda state: turns.left(state.path),
         )
-        dr.eval(radiance.state, colours)
+        dr.eval(radiance.state, colours, kept.buffer.state if kept else None)
 
 
 def _bright(value: mi.Spectrum, wavelengths: mi.Spectrum) -> mi.Float:

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
+from elps_core.context.aims import Aims
 from elps_core.context.field import DirectionalField
 from elps_core.context.lookup import RegionLookup
+from elps_core.context.slits import Slits
 from elps_core.context.store import DirectionalParts
 from elps_core.sampling.aims import AimedDirections
-from elps_core.sampling.direction import Guide, GuidedDirections, Share
+from elps_core.sampling.direction import Guide, GuidedDirections, Share, Towards
+from elps_core.sampling.slits import SlitDirections
 
 CARE = 8.0
 """What a path is expected to find counts in units of its pixel's noise: the gain is this over the noise."""
@@ -31,13 +34,23 @@ def guided(parts: DirectionalParts, *, eye: Share | None, light: Share | None) -
     With a chance of 0 tables serve roulette only; without one they are not loaded.
     """
     lookup = RegionLookup(parts.regions)
-    aims = AimedDirections(parts.aims, parts.radiance.irradiance) if parts.aims and eye is not None else None
+    around = () if eye is None else towards(parts.aims, parts.slits, parts.radiance.irradiance)
     return GuidedDirections(
         lookup,
-        None if eye is None else Guide(DirectionalField(lookup, parts.radiance), eye, aims),
+        None if eye is None else Guide(DirectionalField(lookup, parts.radiance), eye, around),
         None if light is None else Guide(DirectionalField(lookup, parts.importance), light),
         prospects=parts.prospects,
     )
+
+
+def towards(aims: Aims | None, slits: Slits | None, irradiance: NDArray[np.float32]) -> tuple[Towards, ...]:
+    """What takes directions of radiance tables of ``irradiance`` [K]: points and slits, where there are any."""
+    found: list[Towards] = []
+    if aims:
+        found.append(AimedDirections(aims, irradiance))
+    if slits:
+        found.append(SlitDirections(slits))
+    return tuple(found)
 
 
 class PixelWorth:

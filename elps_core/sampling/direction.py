@@ -8,7 +8,7 @@ densities of both mixtures, because each enters the other's weights.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -29,7 +29,6 @@ from elps_core.paths.scattering import (
     seen_by_light,
 )
 from elps_core.paths.stream import Stream
-from elps_core.sampling.aims import AimedDirections
 from elps_core.scene.spectrum import luminance
 
 ENOUGH = 64
@@ -96,6 +95,22 @@ class Directions:
 SCATTERING = Directions()
 
 
+class Towards(Protocol):
+    """What takes some of the directions of a table: to where light comes from that is smaller than its cells."""
+
+    def sample(
+        self, origin: mi.Point3f, region: mi.UInt32, u: mi.Point2f, active: mi.Bool
+    ) -> tuple[mi.Bool, mi.Vector3f, mi.Point2f]:
+        """Whether a direction is taken, and then which, as a unit vector in world space; else numbers left."""
+        ...
+
+    def mixed(
+        self, otherwise: mi.Float, origin: mi.Point3f, region: mi.UInt32, direction: mi.Vector3f, active: mi.Bool
+    ) -> mi.Float:
+        """Density per solid angle of the unit vector ``direction``, ``otherwise`` that of those not taken."""
+        ...
+
+
 Share: TypeAlias = "float | NDArray[np.float32]"
 """One chance, or that of each region [K]."""
 
@@ -107,23 +122,24 @@ class Guide:
     field: DirectionalField
     share: Share
     """Chance of a direction from the table, where the material scatters at all; 0: the table serves roulette."""
-    aims: AimedDirections | None = None
-    """What takes part in the table, towards mirrors and glass."""
+    towards: tuple[Towards, ...] = ()
+    """What takes directions of the table, the last one first."""
 
     def sample(self, origin: mi.Point3f, region: mi.UInt32, u: mi.Point2f, active: mi.Bool) -> mi.Vector3f:
         """A direction from ``origin`` in a region, as a unit vector in world space."""
-        if self.aims is None:
-            return self.field.sample(region, u, active)[0]
-        aimed, towards, left = self.aims.sample(origin, region, u, active)
-        by_table, _ = self.field.sample(region, left, active & ~aimed)
-        return dr.select(aimed, towards, by_table)
+        taken, chosen = mi.Bool(False), mi.Vector3f(0.0, 0.0, 1.0)
+        for towards in reversed(self.towards):
+            aimed, direction, u = towards.sample(origin, region, u, active & ~taken)
+            taken, chosen = taken | aimed, dr.select(aimed, direction, chosen)
+        by_table, _ = self.field.sample(region, u, active & ~taken)
+        return dr.select(taken, chosen, by_table)
 
     def pdf(self, origin: mi.Point3f, region: mi.UInt32, direction: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """Density per solid angle with which :meth:`sample` draws the unit vector ``direction``."""
-        by_table = self.field.pdf(region, direction, active)
-        if self.aims is None:
-            return by_table
-        return self.aims.mixed(by_table, origin, region, direction, active)
+        density = self.field.pdf(region, direction, active)
+        for towards in self.towards:
+            density = towards.mixed(density, origin, region, direction, active)
+        return density
 
 
 class GuidedDirections(Directions):

@@ -153,6 +153,7 @@ def test_paths_that_are_paid_are_no_noisier_where_tables_know_what_they_would_fi
         lights=np.ones((count, parts.lights.shape[1]), np.float32),
         shares=None,
         aims=None,
+        slits=None,
         prospects=np.stack([*[bright] * 3, np.full(count, 0.05)], axis=1).astype(np.float32),
     )
     assert known.prospects is not None
