@@ -44,6 +44,7 @@ from elps_core.particles.records import IMPORTON, PHOTON, Particles
 from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
+from elps_core.sampling.aims import AimedDirections
 from elps_core.sampling.context import PixelWorth, towards
 from elps_core.sampling.direction import ENOUGH, NEVER, Guide, GuidedDirections
 from elps_core.sampling.lights import pieces
@@ -325,11 +326,13 @@ class TableBuilder:
             tables = known.radiance if known else self._finished("radiance", "photons")
             radiance = DirectionalField(finder.lookup, tables)
             places = known or self._made
-            around = towards(places.aims, places.slits, tables.irradiance)
+            aims = AimedDirections(places.aims, tables.irradiance) if places.aims else None
+            around = towards(aims, places.slits, "eye")
             # Light paths that know where the sensor is bring photons from what eye paths cannot find.
             light = None
             if number > 1 and not known:
-                light = Guide(DirectionalField(finder.lookup, self._finished("importance")), TRAINING_SHARE)
+                through = towards(None, self._made.slits, "light")
+                light = Guide(DirectionalField(finder.lookup, self._finished("importance")), TRAINING_SHARE, through)
             # The kernel of the steps that follow, with roulette by albedo.
             enough = NEVER if number < BY_ALBEDO else ENOUGH
             directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE, around), light, enough=enough)
@@ -359,7 +362,10 @@ class TableBuilder:
         leaving = self._made.sources.get(DEPARTURES)
         seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.lookup.count, *grid)
         photons = self._made.sources.get("photons")
-        kept = thinned(photons.evidence, now=number == SLITS_AT) if photons and number > 1 else None
+        # From the first step of each kernel on, so that there is one only.
+        now = number == SLITS_AT and not known
+        of_eye = thinned(importance.evidence, now=now) if number else None
+        of_light = thinned(photons.evidence, now=now) if photons and number > 1 else None
         if not known:
             self._made.moments = seen.moments()
         colours = on_device(mi.Float, self._made.colours if self._made.colours.size else np.zeros((regions, 3)))
@@ -371,7 +377,9 @@ class TableBuilder:
         for part in range(passes):
             stream = Stream.of(lanes, *key, part, 0)
             place = Stream.of(here, *key, part, 2).next_2d()
-            found = recorder.eye_paths(place * mi.Point2f(size), stream, seen, importance, direct, leaving, trial)
+            found = recorder.eye_paths(
+                place * mi.Point2f(size), stream, seen, importance, direct, leaving, trial, of_eye
+            )
             pilot.enter(place, found)
             seen.close_batch()
             if leaving:
@@ -380,11 +388,11 @@ class TableBuilder:
             if photons is None:
                 continue
             lit = here if hungry else max(1, here // LIGHT_PART)
-            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours, kept)
+            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours, of_light)
             photons.close_batch(lit * areas)
-        if kept and number == SLITS_AT:
+        if now and of_light and of_eye:
             groups, cell = self._neighbours(REGIONS_PER_SLIT), 4.0 * np.pi / (grid[0] * grid[1])
-            self._made.slits = slits(kept, finder.lookup, groups, self._groups(), cell, self.settings.seed)
+            self._made.slits = slits(of_light, of_eye, finder.lookup, groups, self._groups(), cell, self.settings.seed)
         if not known:
             self._made.colours = np.array(colours, np.float64).reshape(regions, 3)
         if trial:

@@ -18,7 +18,7 @@ import mitsuba as mi
 from elps_core.context.directional import DirectionalAccumulator
 from elps_core.context.shares import ShareTrial
 from elps_core.integrators.bdpt import Bdpt
-from elps_core.particles.records import PHOTON, ParticleBuffer
+from elps_core.particles.records import IMPORTON, PHOTON, ParticleBuffer
 from elps_core.paths.scattering import Scattered
 from elps_core.paths.stream import Stream
 from elps_core.paths.turns import Turns
@@ -50,11 +50,25 @@ class _Light:
 
 @dataclass(frozen=True)
 class Thinned:
-    """Photons that are kept one by one, of each region with a chance of its own."""
+    """Particles that are kept one by one, of each region with a chance of its own."""
 
     chances: mi.Float
     """[regions]"""
     buffer: ParticleBuffer
+
+    def add(
+        self,
+        si: mi.SurfaceInteraction3f,
+        weight: mi.Float,
+        depth: mi.UInt32,
+        kind: int,
+        region: mi.UInt32,
+        stream: Stream,
+        active: mi.Bool,
+    ) -> None:
+        """Keep, perhaps, what a walk brings to the surface point ``si`` from where it came."""
+        here = active & (stream.next_1d() < dr.gather(mi.Float, self.chances, region, active))
+        self.buffer.record(si, weight, depth, kind, here)
 
 
 class WalkRecorder:
@@ -77,13 +91,14 @@ class WalkRecorder:
         lights: mi.Float,
         departures: DirectionalAccumulator | None = None,
         shares: ShareTrial | None = None,
+        kept: Thinned | None = None,
     ) -> mi.Float:
         """One path from each ``position`` on the film, in the lanes of ``stream``; the luminance that each has found.
 
         Importance counts what a pixel is worth, and is left out at the first vertex: joining light paths to the
         sensor covers that. What light sampling finds is added to ``lights`` [regions * pieces], per unit of throughput;
         what reaches the image at all, to ``departures``, by piece and direction. ``shares`` learns what other chances
-        of a direction from the tables would have been worth.
+        of a direction from the tables would have been worth. Some importons are ``kept``.
         """
         bdpt = self.bdpt
         pieces = region_lights.pieces(bdpt.lights)
@@ -110,7 +125,10 @@ class WalkRecorder:
             region = self._regions.region(vertex.si, vertex.si.wi, smooth)
             brought = _bright(vertex.beta, wavelengths)
             worth = brought * (walk.worth / gain)
-            importance.add(region, vertex.si.to_world(vertex.si.wi), worth, smooth & (vertex.depth > 1))
+            later = smooth & (vertex.depth > 1)
+            importance.add(region, vertex.si.to_world(vertex.si.wi), worth, later)
+            if kept:
+                kept.add(vertex.si, worth, vertex.depth, IMPORTON, region, walk.stream, later)
             if departures:
                 at_all = walk.worth / gain
                 leave_to = dr.normalize(vertex.si.p - start.point.si.p)
@@ -168,7 +186,15 @@ class WalkRecorder:
             renew=renew,
             going=lambda state: turns.left(state.path),
         )
-        dr.eval(found, records, where, what, importance.state, lights, departures.state if departures else None)
+        dr.eval(
+            found,
+            records,
+            where,
+            what,
+            importance.state,
+            lights,
+            [each.state for each in (departures, kept and kept.buffer) if each],
+        )
         number = dr.arange(mi.UInt32, bdpt.max_depth * paths)
         slot = number // turns.paths
         path = number - slot * turns.paths
@@ -194,7 +220,8 @@ class WalkRecorder:
     ) -> None:
         """``paths`` from the lights, in the lanes of ``stream``; every vertex is a photon [thesis (5.11)].
 
-        Where light has colours their sums go to ``colours`` [regions * 3], in linear RGB. Some photons are ``kept``.
+        Where light has colours their sums go to ``colours`` [regions * 3], in linear RGB. Some photons are
+        ``kept``, those that come straight from a lamp among them.
         """
         bdpt = self.bdpt
         lanes = dr.width(stream)
@@ -215,8 +242,7 @@ class WalkRecorder:
             indirect = smooth & (vertex.depth > 1)
             radiance.add(region, vertex.si.to_world(vertex.si.wi), weight, indirect)
             if kept:
-                here = indirect & (walk.stream.next_1d() < dr.gather(mi.Float, kept.chances, region, indirect))
-                kept.buffer.record(vertex.si, weight, vertex.depth, PHOTON, here)
+                kept.add(vertex.si, weight, vertex.depth, PHOTON, region, walk.stream, smooth)
             if mi.is_rgb and colours is not None:
                 for k, amount in enumerate(mi.UnpolarizedSpectrum(vertex.beta)):
                     some = indirect & dr.isfinite(amount)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
-from elps_core.context.aims import Aims
 from elps_core.context.field import DirectionalField
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.slits import Slits
 from elps_core.context.store import DirectionalParts
+from elps_core.paths.mis import Side
 from elps_core.sampling.aims import AimedDirections
 from elps_core.sampling.direction import Guide, GuidedDirections, Share, Towards
 from elps_core.sampling.slits import SlitDirections
@@ -34,23 +34,23 @@ def guided(parts: DirectionalParts, *, eye: Share | None, light: Share | None) -
     With a chance of 0 tables serve roulette only; without one they are not loaded.
     """
     lookup = RegionLookup(parts.regions)
-    around = () if eye is None else towards(parts.aims, parts.slits, parts.radiance.irradiance)
+    aims = AimedDirections(parts.aims, parts.radiance.irradiance) if parts.aims and eye is not None else None
     return GuidedDirections(
         lookup,
-        None if eye is None else Guide(DirectionalField(lookup, parts.radiance), eye, around),
-        None if light is None else Guide(DirectionalField(lookup, parts.importance), light),
+        None
+        if eye is None
+        else Guide(DirectionalField(lookup, parts.radiance), eye, towards(aims, parts.slits, "eye")),
+        None
+        if light is None
+        else Guide(DirectionalField(lookup, parts.importance), light, towards(None, parts.slits, "light")),
         prospects=parts.prospects,
     )
 
 
-def towards(aims: Aims | None, slits: Slits | None, irradiance: NDArray[np.float32]) -> tuple[Towards, ...]:
-    """What takes directions of radiance tables of ``irradiance`` [K]: points and slits, where there are any."""
-    found: list[Towards] = []
-    if aims:
-        found.append(AimedDirections(aims, irradiance))
-    if slits:
-        found.append(SlitDirections(slits))
-    return tuple(found)
+def towards(aims: AimedDirections | None, slits: Slits | None, side: Side) -> tuple[Towards, ...]:
+    """What takes directions of tables: points and slits, where there are any."""
+    through = SlitDirections(slits, side) if slits else None
+    return tuple(each for each in (aims, through) if each)
 
 
 class PixelWorth:

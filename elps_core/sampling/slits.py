@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from elps_core.arrays import on_device
 from elps_core.context.slits import Slits
+from elps_core.paths.mis import Side
 
 SHARPEST, BLUNTEST = 3e-4, 2.0
 """Bounds of a lobe's scale, radians: from what floats still tell to nearly all around."""
@@ -34,15 +35,20 @@ class SlitDirections:
 
     From a point a segment is seen along a meridian of the sphere whose poles lie in the segment's direction. Light that
     is not quite where photons were is not lost: such a lobe falls with the square of the angle.
+
+    Args:
+        slits: where they are, and how likely.
+        side: which paths go there; eye paths go to light, and light paths to importance.
     """
 
-    def __init__(self, slits: Slits) -> None:
+    def __init__(self, slits: Slits, side: Side) -> None:
+        row = 0 if side == "eye" else 1
         rows = [
             [*first, spread, *second, 0.0] for (first, second), spread in zip(slits.ends, slits.spread, strict=True)
         ]
         self._slits = on_device(mi.Float, rows)
-        self._which = on_device(mi.UInt32, slits.which)
-        self._chances = on_device(mi.Float, slits.chances)
+        self._which = on_device(mi.UInt32, slits.which[row])
+        self._chances = on_device(mi.Float, slits.chances[row])
 
     def sample(
         self, origin: mi.Point3f, region: mi.UInt32, u: mi.Point2f, active: mi.Bool

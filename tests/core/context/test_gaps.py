@@ -42,10 +42,12 @@ def test_the_gap_beside_a_door_is_found(mi: Any, tmp_path: Path) -> None:
     nearest = int(off.argmin())
     assert off[nearest] < 0.05
     assert np.ptp(parts.slits.ends[nearest, :, 2]) == pytest.approx(OPENING.top, rel=0.2)
-    aimed = parts.slits.chances > 0.1
     near = parts.regions.centres[:, 1] < NEAR.high[1]
-    assert near[aimed].mean() > 0.9
-    assert 0.3 < aimed[near].mean() < 0.9
+    # Light comes through it from the far room, and importance from the near one.
+    for chances, there in zip(parts.slits.chances, (near, ~near), strict=True):
+        aimed = chances > 0.1
+        assert there[aimed].mean() > 0.85
+        assert 0.3 < aimed[there].mean() < 0.9
 
 
 def test_a_room_without_gaps_has_none(mi: Any, tmp_path: Path) -> None:
@@ -74,11 +76,12 @@ def test_photons_are_kept_by_the_chances_of_their_regions(mi: Any) -> None:
     region = np.array(
         walks._regions.lookup(some.position, some.normal * mi.Float(np.sign(np.array(some.normal @ some.direction))))
     )
-    number = np.bincount(region, minlength=count)
+    later = np.array(some.depth) > 1  # The others come straight from the lamp
+    assert 0.0 < later.mean() < 1.0
+    number = np.bincount(region[later], minlength=count)
     expected = photons.evidence * chances
     assert number[chances == 1.0] == pytest.approx(expected[chances == 1.0])
     assert (np.abs(number - expected) <= 5.0 * np.sqrt(expected) + 5.0).all()
-    assert (np.array(some.depth) > 1).all()
     none = thinned(evidence, now=False)
     walks.light_paths(PATHS, Stream.of(LANES, 2), photons, kept=none)
     assert len(none.buffer.take()) == 0

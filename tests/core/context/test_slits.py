@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from elps_core.context.slits import HELD, LARGEST_CHANCE, MOST, Lines, Slits, find
+from elps_core.context.slits import HELD, LARGEST_CHANCE, MOST, NONE, Lines, Slits, find
 from elps_core.errors import ContextMismatch
 
 Array = np.ndarray[Any, Any]
@@ -31,13 +32,16 @@ def photons(part: float, *, width: float = WIDTH, gap: Array = GAP, count: int =
     lit = (rng.random(count) < part) & (cell[:, 0] >= 8)
     line = np.where(lit[:, None], through, anywhere) - position
     line[:, 2] = np.abs(line[:, 2])
-    return Lines(
-        position, line / np.linalg.norm(line, axis=1, keepdims=True), rng.random(count), 16 * cell[:, 0] + cell[:, 1]
-    )
+    line /= np.linalg.norm(line, axis=1, keepdims=True)
+    return Lines(position, line, rng.random(count), 16 * cell[:, 0] + cell[:, 1], np.zeros(count, np.bool_))
 
 
 def turned(lines: Lines, by: Rotation, scale: float, shift: float) -> Lines:
-    return Lines(scale * by.apply(lines.position) + shift, by.apply(lines.direction), lines.weight, lines.region)
+    return replace(lines, position=scale * by.apply(lines.position) + shift, direction=by.apply(lines.direction))
+
+
+def together(one: Lines, two: Lines) -> Lines:
+    return Lines(*(np.concatenate([getattr(one, name), getattr(two, name)]) for name in vars(one)))
 
 
 def distance(points: Array, ends: Array) -> Array:
@@ -49,7 +53,7 @@ def distance(points: Array, ends: Array) -> Array:
 
 
 def test_a_slit_is_found_where_it_is() -> None:
-    slits = find(photons(0.4), NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(photons(0.4), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
     assert slits is not None
     assert len(slits.spread) == 1
     assert distance(GAP, slits.ends[0]).max() < WIDTH
@@ -58,26 +62,26 @@ def test_a_slit_is_found_where_it_is() -> None:
     assert ends == pytest.approx([0.0, 1.0], abs=0.05)
     assert 0.2 * WIDTH < slits.spread[0] < WIDTH
     # What comes through is told by region, and taken to fall off slowly.
-    assert 0.36 < np.median(slits.chances[128:]) <= LARGEST_CHANCE
-    assert np.median(slits.chances[:128]) < 0.02
+    assert 0.36 < np.median(slits.chances[0, 128:]) <= LARGEST_CHANCE
+    assert np.median(slits.chances[0, :128]) < 0.02
     assert slits.chances.max() <= LARGEST_CHANCE
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_slits_may_lie_anyhow(seed: int) -> None:
     by, scale, shift = Rotation.random(random_state=seed), 10.0 ** (seed - 1), 3.0 * seed
-    slits = find(turned(photons(0.25, seed=seed), by, scale, shift), NEIGHBOURHOODS, LENDERS, CELL, seed)
+    slits = find(turned(photons(0.25, seed=seed), by, scale, shift), NONE, NEIGHBOURHOODS, LENDERS, CELL, seed)
     assert slits is not None
     gap = scale * by.apply(GAP) + shift
     assert distance(gap, slits.ends[0]).max() < 2.0 * WIDTH * scale
-    assert 0.22 < np.median(slits.chances[128:]) < 0.25 / HELD + 0.05
+    assert 0.22 < np.median(slits.chances[0, 128:]) < 0.25 / HELD + 0.05
 
 
 def test_two_slits_are_told_apart() -> None:
     other = GAP + np.array([1.2, 0.3, -0.4])
     one, two = photons(0.4), photons(0.4, gap=other, seed=1)
-    both = Lines(*(np.concatenate([getattr(one, name), getattr(two, name)]) for name in vars(one)))
-    slits = find(both, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    both = together(one, two)
+    slits = find(both, one, NEIGHBOURHOODS, LENDERS, CELL, 0)
     assert slits is not None
     assert len(slits.spread) == 2
     apart = [min(distance(gap, ends).max() for ends in slits.ends) for gap in (GAP, other)]
@@ -90,20 +94,58 @@ def test_two_slits_are_told_apart() -> None:
         photons(0.0),
         photons(0.4, width=0.6),
         photons(0.4, count=20),
-        Lines(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)),
-        Lines(np.ones((500, 3)), np.tile([0.0, 0.0, 1.0], (500, 1)), np.ones(500), np.zeros(500, np.int64)),
+        NONE,
+        replace(photons(0.4), position=np.ones((6000, 3)), direction=np.tile([0.0, 0.0, 1.0], (6000, 1))),
+        replace(photons(0.4), straight=np.ones(6000, np.bool_)),
     ],
-    ids=["light from anywhere", "a window", "hardly any photons", "no photons", "one photon again and again"],
+    ids=[
+        "light from anywhere",
+        "a window",
+        "hardly any photons",
+        "no photons",
+        "one photon again and again",
+        "light of a lamp",
+    ],
 )
 def test_what_is_no_slit_is_not_found(lines: Lines) -> None:
-    assert find(lines, NEIGHBOURHOODS, LENDERS, CELL, 0) is None
+    assert find(lines, lines, NEIGHBOURHOODS, LENDERS, CELL, 0) is None
+
+
+def test_importance_has_chances_of_its_own() -> None:
+    slits = find(photons(0.2), photons(0.3, seed=1), NEIGHBOURHOODS, LENDERS, CELL, 0)
+    assert slits is not None
+    assert 0.17 < np.median(slits.chances[0, 128:]) < 0.2 / HELD + 0.04
+    assert 0.26 < np.median(slits.chances[1, 128:]) < 0.3 / HELD + 0.05
+    assert np.median(slits.chances[:, :128]) < 0.02
+    alone = find(photons(0.2), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    assert alone is not None
+    assert (alone.chances[1] == 0.0).all()
+
+
+def test_light_of_a_lamp_counts_where_it_comes_through() -> None:
+    """Beside it all that comes straight from a lamp is the business of light sampling."""
+    some = photons(0.2)
+    through = photons(1.0, seed=1).those(photons(1.0, seed=1).region >= 128)
+    lamps = [replace(lines, straight=np.ones(len(lines.weight), np.bool_)) for lines in (through, photons(0.0, seed=2))]
+    slits = find(together(together(some, lamps[0]), lamps[1]), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    assert slits is not None
+    assert np.median(slits.chances[0, 128:]) == LARGEST_CHANCE
+    slits = find(together(some, lamps[1]), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    assert slits is not None
+    assert 0.17 < np.median(slits.chances[0, 128:]) < 0.2 / HELD + 0.04
+
+
+def test_what_floats_do_not_hold_is_no_slit() -> None:
+    for scale, shift in ((1e16, 0.0), (1e-48, 0.0), (1e-9, 1e3)):
+        far = turned(photons(0.4), Rotation.identity(), scale, shift)
+        assert find(far, NONE, NEIGHBOURHOODS, LENDERS, CELL, 0) is None
 
 
 def test_the_order_of_photons_does_not_matter() -> None:
     some = photons(0.3)
     order = np.random.default_rng(1).permutation(len(some.weight))
-    ours = find(some, NEIGHBOURHOODS, LENDERS, CELL, 0)
-    theirs = find(Lines(*(values[order] for values in vars(some).values())), NEIGHBOURHOODS, LENDERS, CELL, 0)
+    ours = find(some, NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    theirs = find(some.those(order), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
     assert ours is not None
     assert theirs is not None
     assert np.allclose(ours.ends, theirs.ends, atol=1e-5)
@@ -111,7 +153,7 @@ def test_the_order_of_photons_does_not_matter() -> None:
 
 
 def changed(name: str, value: Any) -> dict[str, Array]:
-    slits = find(photons(0.4), NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(photons(0.4), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
     assert slits is not None
     return slits.arrays() | {name: value}
 
@@ -125,18 +167,18 @@ def changed(name: str, value: Any) -> dict[str, Array]:
         changed("ends", np.array([[[0, 0, 0], [0, 0, 1e30]]], np.float32)),
         changed("spread", np.zeros(1, np.float32)),
         changed("spread", np.ones(1)),
-        changed("which", np.ones(REGIONS, np.uint32)),
-        changed("which", np.zeros(REGIONS, np.int64)),
-        changed("chances", np.full(REGIONS, 0.6, np.float32)),
-        changed("chances", np.full(REGIONS, np.nan, np.float32)),
-        changed("chances", np.zeros(REGIONS - 1, np.float32)),
+        changed("which", np.ones((2, REGIONS), np.uint32)),
+        changed("which", np.zeros((2, REGIONS), np.int64)),
+        changed("chances", np.full((2, REGIONS), 0.6, np.float32)),
+        changed("chances", np.full((2, REGIONS), np.nan, np.float32)),
+        changed("chances", np.zeros((2, REGIONS - 1), np.float32)),
         changed("ends", np.zeros((0, 2, 3), np.float32)) | {"spread": np.zeros(0, np.float32)},
         {"spread": np.ones(1, np.float32)},
         {
             "ends": np.tile(np.eye(3, dtype=np.float32)[:2], (MOST + 1, 1, 1)),
             "spread": np.ones(MOST + 1, np.float32),
-            "which": np.zeros(REGIONS, np.uint32),
-            "chances": np.zeros(REGIONS, np.float32),
+            "which": np.zeros((2, REGIONS), np.uint32),
+            "chances": np.zeros((2, REGIONS), np.float32),
         },
     ],
 )
@@ -146,7 +188,7 @@ def test_what_does_not_fit_is_refused(arrays: dict[str, Array]) -> None:
 
 
 def test_what_fits_is_taken_over() -> None:
-    slits = find(photons(0.4), NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(photons(0.4), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
     assert slits is not None
     again = Slits.from_arrays(slits.arrays(), REGIONS)
     assert all(getattr(again, name) is value for name, value in vars(slits).items())

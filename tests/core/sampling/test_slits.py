@@ -27,8 +27,9 @@ def slit(spread: float, chance: float) -> Any:
     from elps_core.context.slits import Slits
     from elps_core.sampling.slits import SlitDirections
 
-    which, chances = np.zeros(1, np.uint32), np.array([chance], np.float32)
-    return SlitDirections(Slits(ENDS[None].astype(np.float32), np.array([spread], np.float32), which, chances))
+    which, chances = np.zeros((2, 1), np.uint32), np.array([[0.1], [chance]], np.float32)
+    found = Slits(ENDS[None].astype(np.float32), np.array([spread], np.float32), which, chances)
+    return SlitDirections(found, "light")
 
 
 def draw(mi: Any, towards: Any, origin: list[float]) -> tuple[Any, Any, Any]:

@@ -1,0 +1,228 @@
+"""Segments that lines pass by closely: found by random fours of lines, and fitted to all of them. Needs no Mitsuba.
+
+Any four lines have two others at most that meet all four. Fours of lines of the same neighbourhood are drawn, and what
+meets them is judged by how many others pass by closely, and not only so as to fill a cell of a table: a search by
+random samples, after Fischler and Bolles (1981).
+
+Lengths are in units of the scene, so that they are of the order of 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Doubles = NDArray[np.float64]
+
+FOURS, FIRST_JUDGES, JUDGES, PLACES = 1000, 32, 256, 2
+"""Fours of lines in each neighbourhood, other lines that judge what meets them, and what is kept."""
+FEWEST = 32
+"""Lines of a neighbourhood that is searched."""
+NARROW = 8.0
+"""Part of a cell's width, 1 over it, within which lines pass by closely: what fills cells is left to tables."""
+STEPS, RELAXED, TIGHTER, FARTHER = 20, 12.0, 0.7, 1.8
+"""Steps of the fit, how many times the spread lines count within at first, how that shrinks with each step, and how
+much farther steps go: a candidate is several spreads off, and few of its lines would draw it but slowly."""
+SPREAD_STEPS = 8
+"""Steps of each fit of a spread."""
+INSIDE = 3.0
+"""Spreads within which a line surely passes by."""
+MIDDLE = 0.9
+"""Part of the lines between places that tell where a segment ends: the rest is not to be told from what is around."""
+AROUND = 4.0
+"""Widths of a cell within which lines take part in a fit."""
+TINY = 1e-12
+"""In place of nothing, where something is divided by it."""
+
+
+@dataclass(frozen=True)
+class Passing:
+    """How lines pass by another one."""
+
+    miss: Doubles
+    """Distance."""
+    far: Doubles
+    """Of the nearest point from where the line begins; negative behind it."""
+    along: Doubles
+    """Of the nearest point along the other."""
+
+    @property
+    def angle(self) -> Doubles:
+        """That the other is seen away from the line; more than any is, behind."""
+        return np.where(self.far > TINY, self.miss / np.maximum(self.far, TINY), np.inf)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A segment that lines pass by closely."""
+
+    first: Doubles
+    second: Doubles
+    spread: float = 0.0
+    likelihood: float = 0.0
+    """Logarithm of how much likelier lines are that pass by like this, times their light."""
+
+    @property
+    def length(self) -> float:
+        """Between its ends."""
+        return float(np.linalg.norm(self.second - self.first))
+
+    def passed_by(self, x: Doubles, line: Doubles) -> Passing:
+        """How lines from ``x`` pass by it; along it from its first end on."""
+        return _passing(self.first, (self.second - self.first) / self.length, x, line)
+
+
+def candidates(
+    x: Doubles, line: Doubles, light: Doubles, group: NDArray[Any], width: float, rng: np.random.Generator
+) -> list[Segment]:
+    """Of each ``group`` [n] the lines, with a point and a direction each, that most of its lines pass by closely.
+
+    Lines begin at ``x`` [n, 3] and go along the unit vectors ``line`` [n, 3]; each counts as its ``light`` [n] says.
+    ``width`` is that of a cell, in radians.
+    """
+    found = []
+    for number in np.unique(group):
+        here = np.nonzero(group == number)[0]
+        if len(here) < FEWEST:
+            continue
+        chance = light[here] / light[here].sum()
+        fours = rng.choice(here, (FOURS, 4), p=chance)
+        judges = rng.choice(here, JUDGES, p=chance)
+        point, direction = _meeting(x[fours], line[fours])
+        if not len(point):
+            continue
+        # A few judges tell which ones are worth the time of all.
+        for some, kept in ((judges[:FIRST_JUDGES], FOURS // 8), (judges, FOURS)):
+            angle = _passing(point[:, None], direction[:, None], x[some], line[some]).angle
+            close, about = angle < width / NARROW, angle < width
+            better = np.argsort(about.sum(axis=1) / NARROW - close.sum(axis=1), kind="stable")[:kept]
+            point, direction, close, about = point[better], direction[better], close[better], about[better]
+        for _ in range(PLACES):
+            best = int((close.sum(axis=1) - about.sum(axis=1) / NARROW).argmax())
+            found.append(Segment(point[best], point[best] + direction[best]))
+            # The next one by what this one has not.
+            others = ~close[best]
+            close, about = close & others, about & others
+    return found
+
+
+def _meeting(x: Doubles, line: Doubles) -> tuple[Doubles, Doubles]:
+    """Lines that meet all of four: points [n, 3] and unit directions [n, 3], from fours [m, 4, 3].
+
+    In Plücker's coordinates (direction, moment) lines meet where a product of both is zero: four such equations leave a
+    plane, and that a direction is across its moment two lines of it.
+    """
+    _, _, rows = np.linalg.svd(np.concatenate([np.cross(x, line), line], axis=-1))
+    first, second = rows[:, 4], rows[:, 5]
+
+    def product(one: Doubles, other: Doubles) -> Doubles:
+        found: Doubles = (one[:, :3] * other[:, 3:]).sum(axis=1)
+        return found
+
+    a, b, c = product(first, first), product(first, second) + product(second, first), product(second, second)
+    root = b * b - 4.0 * a * c
+    q = -0.5 * (b + np.copysign(np.sqrt(np.maximum(root, 0.0)), b))
+    found = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for step in (q / c, a / q):
+            both = first + step[:, None] * second
+            direction, moment = both[:, :3], both[:, 3:]
+            length = np.linalg.norm(direction, axis=1, keepdims=True)
+            good = (root > 0.0) & (length[:, 0] > TINY * np.linalg.norm(both, axis=1)) & np.isfinite(both).all(axis=1)
+            direction, moment = (direction / length)[good], (moment / length)[good]
+            found.append((np.cross(direction, moment), direction))
+    point, direction = (np.concatenate(part) for part in zip(*found, strict=True))
+    return point, direction
+
+
+def _passing(point: Doubles, direction: Doubles, x: Doubles, line: Doubles) -> Passing:
+    """How lines from ``x`` along the unit vectors ``line`` pass by the line through ``point`` along ``direction``."""
+    away, across = point - x, np.cross(direction, line)
+    squared = np.maximum(np.square(across).sum(axis=-1), TINY)
+    return Passing(
+        np.abs((away * across).sum(axis=-1)) / np.sqrt(squared),
+        -(np.cross(away, direction) * across).sum(axis=-1) / squared,
+        -(np.cross(away, line) * across).sum(axis=-1) / squared,
+    )
+
+
+def gain(passing: Passing, light: Doubles, width: float) -> float:
+    """Part of the light that passes by closely, less what would if it filled cells."""
+    angle = passing.angle
+    return float(light @ ((angle < width / NARROW) - (angle < width) / NARROW))
+
+
+def fitted(candidate: Segment, x: Doubles, line: Doubles, light: Doubles, width: float) -> Segment | None:
+    """The segment near a candidate that lines pass by most closely; None where that is by chance.
+
+    Distances are taken to be Cauchy's beside others that are spread evenly; least squares with weights by the former.
+    """
+    point, direction = candidate.first, (candidate.second - candidate.first) / candidate.length
+    spread, likelihood = 0.0, 0.0
+    near = np.nonzero((_passing(point, direction, x, line).angle < AROUND * width) & (light > 0.0))[0]
+    x, line, light = x[near], line[near], light[near]
+    for step in range(STEPS):
+        passing = _passing(point, direction, x, line)
+        near = np.nonzero(passing.angle < (width if step < 2 else 0.5 * width))[0]
+        if len(near) < FEWEST:
+            return None
+        miss, far, along, shine = passing.miss[near], passing.far[near], passing.along[near], light[near]
+        spread, likelihood = _spread(miss, 0.5 * width * far, shine, spread)
+        surely = miss < INSIDE * spread
+        low, high = _middle(along[surely], shine[surely])
+        if not high > low:
+            return None
+        # The nearest points of each line to the segment lie in proportion between its ends, which are to be found.
+        share = (along - low) / (high - low)
+        across = np.cross(direction, line[near])
+        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), TINY)
+        rows = np.concatenate([(1.0 - share)[:, None] * across, share[:, None] * across], axis=1)
+        ends = np.concatenate([point + low * direction, point + high * direction])
+        weight = shine / (1.0 + np.square(miss / (spread * max(1.0, RELAXED * TIGHTER**step))))
+        normal = (rows * weight[:, None]).T @ rows
+        # Along the segment anything fits.
+        normal += 1e-6 * np.trace(normal) * np.eye(6)
+        off = (across * x[near]).sum(axis=1) - rows @ ends
+        ends = ends + FARTHER * np.linalg.solve(normal, (rows * weight[:, None]).T @ off)
+        point, direction = ends[:3], ends[3:] - ends[:3]
+        direction = direction / max(float(np.linalg.norm(direction)), TINY)
+    passing = _passing(point, direction, x, line)
+    surely = (passing.miss < INSIDE * spread) & (passing.angle < width)
+    if surely.sum() < FEWEST:
+        return None
+    low, high = _middle(passing.along[surely], light[surely])
+    if not high > low:
+        return None
+    beyond = 0.5 * (1.0 - MIDDLE) / MIDDLE * (high - low)
+    return Segment(point + (low - beyond) * direction, point + (high + beyond) * direction, spread, likelihood)
+
+
+def _spread(miss: Doubles, reach: Doubles, light: Doubles, spread: float) -> tuple[float, float]:
+    """The likeliest scale of Cauchy's distribution for distances up to ``reach``, beside others that are even.
+
+    It, from ``spread`` on or 0, and the logarithm of how much likelier it is than that all are even.
+    """
+    scale, part, even = spread or max(float(np.quantile(miss, 0.3)), TINY), 0.5, 1.0 / np.maximum(reach, TINY)
+    likelihood = 0.0
+    for _ in range(SPREAD_STEPS):
+        peak = part * scale / (np.square(miss) + np.square(scale)) * (2.0 / np.pi)
+        both = peak + (1.0 - part) * even
+        mine = light * peak / both
+        likelihood = float(light @ np.log(both / even))
+        part = float(np.clip(mine.sum() / light.sum(), 1e-3, 1.0 - 1e-3))
+        fit = 2.0 * (mine * np.square(scale) / (np.square(miss) + np.square(scale))).sum() / max(mine.sum(), 1e-300)
+        scale = float(np.clip(scale / max(fit, 0.1), 1e-6, 1.0))
+    return scale, likelihood
+
+
+def _middle(values: Doubles, light: Doubles) -> tuple[float, float]:
+    """Where :data:`MIDDLE` of the light lies between."""
+    if not len(values):
+        return 0.0, 0.0
+    order = np.argsort(values)
+    below = np.cumsum(light[order]) / max(float(light.sum()), 1e-300)
+    low, high = np.minimum(np.searchsorted(below, [0.5 - 0.5 * MIDDLE, 0.5 + 0.5 * MIDDLE]), len(order) - 1)
+    return float(values[order[low]]), float(values[order[high]])
