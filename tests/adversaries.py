@@ -79,6 +79,5 @@ def _slits(rng: np.random.Generator, low: Array, high: Array, count: int) -> Sli
     """Slits anywhere in a box."""
     ends = low + rng.random((MOST, 2, 3)) * (high - low)
     spread = 10.0 ** rng.uniform(-3.0, -0.5, MOST) * np.linalg.norm(high - low)
-    chances = LARGEST_CHANCE * rng.random((2, count)) ** 2
-    which = rng.integers(MOST, size=(2, count), dtype=np.uint32)
-    return Slits(ends.astype(np.float32), spread.astype(np.float32), which, chances.astype(np.float32))
+    chances = LARGEST_CHANCE / MOST * rng.random((2, count, MOST)) ** 2
+    return Slits(ends.astype(np.float32), spread.astype(np.float32), chances.astype(np.float32))

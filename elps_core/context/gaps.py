@@ -18,6 +18,9 @@ KEPT = 16
 ROOM, LEAST_ROOM = 4, 1 << 18
 """Times as many for which there is room, and particles for which there is in any case."""
 
+OFF = 1e-4
+"""How far from a surface a ray begins, over its distance from the origin and 1."""
+
 
 def thinned(evidence: NDArray[np.float64], *, now: bool) -> Thinned:
     """What keeps some particles of a step that brings as many as all before it have: so many by region [K].
@@ -31,26 +34,37 @@ def thinned(evidence: NDArray[np.float64], *, now: bool) -> Thinned:
 
 
 def slits(
+    scene: mi.Scene,
     photons: Thinned,
     importons: Thinned,
     lookup: RegionLookup,
     neighbourhoods: NDArray[np.uint32],
     lenders: NDArray[np.uint32],
+    irradiance: NDArray[np.float64],
     cell: float,
     seed: int,
 ) -> Slits | None:
-    """Slits that ``photons`` came through; groups of regions as of :func:`elps_core.context.slits.find`."""
-    return find(_lines(photons, lookup), _lines(importons, lookup), neighbourhoods, lenders, cell, seed)
+    """Slits that ``photons`` came through from where regions have more ``irradiance`` [K].
+
+    Groups of regions as of :func:`elps_core.context.slits.find`.
+    """
+    lit, seen = (_lines(scene, kept, lookup, irradiance) for kept in (photons, importons))
+    return find(lit, seen, neighbourhoods, lenders, cell, seed)
 
 
-def _lines(kept: Thinned, lookup: RegionLookup) -> Lines:
+def _lines(scene: mi.Scene, kept: Thinned, lookup: RegionLookup, irradiance: NDArray[np.float64]) -> Lines:
     particles = kept.buffer.take()
     if not len(particles):
         return NONE
     side = mi.Vector3f(particles.normal) * dr.sign(dr.dot(particles.normal, particles.direction))
     region = np.array(lookup(particles.position, side), np.int64)
+    origin = particles.position + OFF * (1.0 + dr.max(dr.abs(particles.position))) * side
+    met = scene.ray_intersect(mi.Ray3f(origin, particles.direction))
+    before = lookup(met.p, dr.mulsign(mi.Vector3f(met.sh_frame.n), mi.Frame3f.cos_theta(met.wi)), met.is_valid())
+    there = np.where(np.array(met.is_valid()), irradiance[np.array(before)], 0.0)
+    rise = there / np.maximum(irradiance[region], 1e-300)
     place, line = (np.array(part, np.float64).T for part in (particles.position, particles.direction))
     # By a grazing angle a particle may be on another side here than where it was kept.
     chances = np.array(kept.chances, np.float64)[region]
     weight = np.array(particles.weight, np.float64) / np.where(chances > 0.0, chances, 1.0)
-    return Lines(place, line, weight, region, np.array(particles.depth) == 1)
+    return Lines(place, line, weight, region, rise, np.array(particles.depth) == 1)

@@ -85,7 +85,7 @@ def candidates(
     """
     found = []
     for number in np.unique(group):
-        here = np.nonzero(group == number)[0]
+        here = np.nonzero((group == number) & (light > 0.0))[0]
         if len(here) < FEWEST:
             continue
         chance = light[here] / light[here].sum()

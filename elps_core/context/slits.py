@@ -25,9 +25,11 @@ MOST = 4
 """Slits of a scene."""
 SURE = 8.0
 """Photons from which on a region counts in full."""
-WORTHWHILE = 0.01
-"""Part of all light that has to come through a slit, the light of each region counting alike. Where there is none, the
-best line that meets some by chance gets 0.003 to 0.005."""
+BRIGHTER = 8.0
+"""Times as bright it is where photons come from that are searched for slits: few others come through any."""
+WORTHWHILE = 0.05
+"""Part of the light of these that has to come through a slit, the light of each region counting alike. With less there
+would be several in a door that stands wide open, where they are of no use."""
 RANKING = 4096
 """Photons that tell which candidates are worth a fit, at least as many as half of that where there are."""
 TRIED = 4
@@ -39,7 +41,7 @@ WIDEST = 4.0
 HELD = 2.0 / np.pi * (np.arctan(INSIDE) - INSIDE / (BAND - INSIDE) * (np.arctan(BAND) - np.arctan(INSIDE)))
 """Part of a slit's light that is counted so if it falls off as lobes do. Of light that ends at the slit's edges all is
 counted, and taken for up to 1.4 times as much: a door's paths had the least variance with chances between the two."""
-LARGEST_CHANCE = 0.5
+LARGEST_CHANCE, ROUNDING = 0.5, 1e-6
 LARGEST = 1e15
 """Coordinates beyond which squares in kernels would leave the range of a float."""
 
@@ -52,6 +54,7 @@ class Lines:
     direction: Doubles  # [n, 3], unit vectors, to where it came from
     weight: Doubles  # [n], flux
     region: NDArray[np.int64]  # [n]
+    rise: Doubles  # [n], how many times as bright it is where it came from
     straight: NDArray[np.bool_]  # [n], from a lamp
 
     def those(self, chosen: NDArray[np.bool_]) -> Lines:
@@ -59,7 +62,7 @@ class Lines:
         return Lines(*(part[chosen] for part in vars(self).values()))
 
 
-NONE = Lines(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_))
+NONE = Lines(*(np.zeros((0, 3)),) * 2, np.zeros(0), np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.bool_))
 
 
 @dataclass(frozen=True)
@@ -70,14 +73,12 @@ class Slits:
     """[M, 2, 3]"""
     spread: Floats
     """[M]: half of the light passes by nearer than that."""
-    which: NDArray[np.uint32]
-    """[2, K]: the slit that a region gets most of its light through, and that for importance."""
     chances: Floats
-    """[2, K]: part of the region's light, and of its importance, a half at most."""
+    """[2, K, M]: part of a region's light through each, and of its importance; half of all at most."""
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything by name, for a file."""
-        return {"ends": self.ends, "spread": self.spread, "which": self.which, "chances": self.chances}
+        return {"ends": self.ends, "spread": self.spread, "chances": self.chances}
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, NDArray[Any]], regions: int) -> Slits:
@@ -86,20 +87,18 @@ class Slits:
         Raises:
             ContextMismatch: something is missing, or does not fit the rest.
         """
-        ends, spread, which, chances = (arrays.get(n, np.zeros(0)) for n in ("ends", "spread", "which", "chances"))
+        ends, spread, chances = (arrays.get(name, np.zeros(0)) for name in ("ends", "spread", "chances"))
         count = len(spread)
         fits = (
             1 <= count <= MOST
-            and (ends.shape, spread.shape) == ((count, 2, 3), (count,))
-            and which.shape == chances.shape == (2, regions)
+            and (ends.shape, spread.shape, chances.shape) == ((count, 2, 3), (count,), (2, regions, count))
             and ends.dtype == spread.dtype == chances.dtype == np.float32
-            and which.dtype == np.uint32
             and _can_be_seen(ends, spread)
-            and bool((which < count).all() and ((chances >= 0.0) & (chances <= LARGEST_CHANCE)).all())
+            and bool((chances >= 0.0).all() and (chances.sum(axis=-1) <= LARGEST_CHANCE + ROUNDING).all())
         )
         if not fits:
             raise ContextMismatch("the tables of the context are damaged: build it again")
-        return Slits(ends, spread, which, chances)
+        return Slits(ends, spread, chances)
 
 
 def find(
@@ -118,21 +117,22 @@ def find(
     What comes straight from a lamp tells of no slit, since lamps are small themselves. Through slits it counts as any
     light does: points on a lamp are drawn in vain where all but a strip of it is hidden.
     """
-    scattered = photons.those(~photons.straight)
-    if not len(scattered.weight):
+    through = photons.those(~photons.straight & (photons.rise > BRIGHTER))
+    if not len(through.weight):
         return None
     middle = photons.position.mean(axis=0)
     size = float(np.ptp(photons.position, axis=0).max()) or 1.0
-    some, lit, seen = (_Rays.of(lines, middle, size, len(neighbourhoods)) for lines in (scattered, photons, importons))
+    some, lit, seen = (_Rays.of(lines, middle, size, len(neighbourhoods)) for lines in (through, photons, importons))
     width = float(np.sqrt(cell))
     found = _search(some, neighbourhoods, width, seed)
     ends = np.array([[size * slit.first + middle, size * slit.second + middle] for slit in found], np.float32)
     spread = np.array([size * slit.spread for slit in found], np.float32)
     if not found or not _can_be_seen(ends, spread):
         return None
-    parts = np.array([[_part(slit, rays, lenders, width) for slit in found] for rays in (lit, seen)])
-    chances = np.minimum(parts.max(axis=1), LARGEST_CHANCE)[:, lenders]
-    return Slits(ends, spread, parts.argmax(axis=1)[:, lenders].astype(np.uint32), chances.astype(np.float32))
+    parts = np.array([[_part(slit, rays, lenders, width)[lenders] for slit in found] for rays in (lit, seen)])
+    chances = parts.transpose(0, 2, 1)
+    chances *= LARGEST_CHANCE / np.maximum(chances.sum(axis=-1, keepdims=True), LARGEST_CHANCE)
+    return Slits(ends, spread, chances.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -163,9 +163,10 @@ def _search(lit: _Rays, neighbourhoods: NDArray[np.integer[Any]], width: float, 
     """Slits one after the other, each by the light that those before have not."""
     x, line, left, step = lit.x, lit.line, lit.light, -(-len(lit.light) // RANKING)
     few = slice(None, None, step)
-    pool = candidates(x, line, left, neighbourhoods[lit.region], width, np.random.default_rng(seed))
     found: list[Segment] = []
     while len(found) < MOST:
+        rng = np.random.default_rng([seed, len(found)])
+        pool = candidates(x, line, left, neighbourhoods[lit.region], width, rng)
         gains = np.array([step * gain(candidate.passed_by(x[few], line[few]), left[few], width) for candidate in pool])
         promising = [pool[best] for best in np.argsort(-gains)[:TRIED] if gains[best] >= WORTHWHILE]
         fits = [fit for candidate in promising if (fit := fitted(candidate, x, line, left, width))]

@@ -390,9 +390,12 @@ class TableBuilder:
             lit = here if hungry else max(1, here // LIGHT_PART)
             recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours, of_light)
             photons.close_batch(lit * areas)
-        if now and of_light and of_eye:
+        if now and photons and of_light and of_eye:
             groups, cell = self._neighbours(REGIONS_PER_SLIT), 4.0 * np.pi / (grid[0] * grid[1])
-            self._made.slits = slits(of_light, of_eye, finder.lookup, groups, self._groups(), cell, self.settings.seed)
+            lenders, flux = self._groups(), photons.moments()[1]
+            bright = np.bincount(lenders, flux)[lenders] / np.bincount(lenders, areas)[lenders]
+            finding = (finder.lookup, groups, lenders, bright, cell, self.settings.seed)
+            self._made.slits = slits(self.scene, of_light, of_eye, *finding)
         if not known:
             self._made.colours = np.array(colours, np.float64).reshape(regions, 3)
         if trial:

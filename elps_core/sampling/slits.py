@@ -42,23 +42,26 @@ class SlitDirections:
     """
 
     def __init__(self, slits: Slits, side: Side) -> None:
-        row = 0 if side == "eye" else 1
+        self._count = len(slits.spread)
         rows = [
             [*first, spread, *second, 0.0] for (first, second), spread in zip(slits.ends, slits.spread, strict=True)
         ]
         self._slits = on_device(mi.Float, rows)
-        self._which = on_device(mi.UInt32, slits.which[row])
-        self._chances = on_device(mi.Float, slits.chances[row])
+        self._chances = on_device(mi.Float, slits.chances[0 if side == "eye" else 1])
 
     def sample(
         self, origin: mi.Point3f, region: mi.UInt32, u: mi.Point2f, active: mi.Bool
     ) -> tuple[mi.Bool, mi.Vector3f, mi.Point2f]:
         """Whether a direction goes to a slit, and then which, as a unit vector in world space; else numbers left."""
-        chance = dr.gather(mi.Float, self._chances, region, active)
-        aimed = active & (u.x < chance)
-        left = dr.select(aimed, u.x / chance, (u.x - chance) / (1.0 - chance))
+        number, aimed, so_far, left = mi.UInt32(0), mi.Bool(False), mi.Float(0.0), mi.Float(u.x)
+        for slit in range(self._count):
+            chance = self._chance(region, slit, active)
+            here = active & ~aimed & (u.x < so_far + chance)
+            number, left = dr.select(here, slit, number), dr.select(here, (u.x - so_far) / chance, left)
+            aimed, so_far = aimed | here, so_far + chance
+        left = dr.select(aimed, left, (u.x - so_far) / (1.0 - so_far))
         left = dr.clip(left, 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
-        lobe = self._lobe(origin, region, aimed)
+        lobe = self._lobe(origin, number, aimed)
         # Of the angle off the meridian: tangent of its half, sine and cosine.
         tangent = lobe.half * dr.tan(dr.pi * (left - 0.5))
         squared = dr.square(tangent)
@@ -73,26 +76,30 @@ class SlitDirections:
         self, otherwise: mi.Float, origin: mi.Point3f, region: mi.UInt32, direction: mi.Vector3f, active: mi.Bool
     ) -> mi.Float:
         """Density per solid angle of the unit vector ``direction`` where :meth:`sample` leaves it to another's."""
-        chance = dr.gather(mi.Float, self._chances, region, active)
-        some = active & (chance > 0.0)
-        lobe = self._lobe(origin, region, some)
-        local = lobe.frame.to_local(direction)
-        # 1 - cosine of the angle off the meridian: by the sine, where that has more digits.
-        scale = dr.rsqrt(dr.maximum(dr.square(local.x) + dr.square(local.y), TINY))
-        cosine = (local.x * lobe.across.x + local.y * lobe.across.y) * scale
-        sine = (local.y * lobe.across.x - local.x * lobe.across.y) * scale
-        off = dr.select(cosine > 0.0, dr.square(sine) / (1.0 + cosine), 1.0 - cosine)
-        # sinh g / (cosh g - cosine) / 2 pi, with t the tangent of half of g.
-        squared = dr.square(lobe.half)
-        around = 2.0 * lobe.half / (2.0 * squared + (1.0 - squared) * off) * dr.inv_two_pi
-        within = some & (local.z >= lobe.low) & (local.z <= lobe.high)
-        towards = dr.select(within, around / (lobe.high - lobe.low), 0.0)
-        return dr.select(active, dr.lerp(otherwise, towards, chance), 0.0)
+        total, so_far = mi.Float(0.0), mi.Float(0.0)
+        for slit in range(self._count):
+            chance = self._chance(region, slit, active)
+            lobe = self._lobe(origin, mi.UInt32(slit), active)
+            local = lobe.frame.to_local(direction)
+            # 1 - cosine of the angle off the meridian: by the sine, where that has more digits.
+            scale = dr.rsqrt(dr.maximum(dr.square(local.x) + dr.square(local.y), TINY))
+            cosine = (local.x * lobe.across.x + local.y * lobe.across.y) * scale
+            sine = (local.y * lobe.across.x - local.x * lobe.across.y) * scale
+            off = dr.select(cosine > 0.0, dr.square(sine) / (1.0 + cosine), 1.0 - cosine)
+            # sinh g / (cosh g - cosine) / 2 pi, with t the tangent of half of g.
+            squared = dr.square(lobe.half)
+            around = 2.0 * lobe.half / (2.0 * squared + (1.0 - squared) * off) * dr.inv_two_pi
+            within = (local.z >= lobe.low) & (local.z <= lobe.high)
+            total = total + dr.select(within, chance * around / (lobe.high - lobe.low), 0.0)
+            so_far = so_far + chance
+        return dr.select(active, total + (1.0 - so_far) * otherwise, 0.0)
 
-    def _lobe(self, origin: mi.Point3f, region: mi.UInt32, active: mi.Bool) -> _Lobe:
-        number = 2 * dr.gather(mi.UInt32, self._which, region, active)
-        one = dr.gather(mi.Vector4f, self._slits, number, active)
-        other = dr.gather(mi.Vector4f, self._slits, number + 1, active)
+    def _chance(self, region: mi.UInt32, slit: int, active: mi.Bool) -> mi.Float:
+        return dr.gather(mi.Float, self._chances, region * self._count + slit, active)
+
+    def _lobe(self, origin: mi.Point3f, number: mi.UInt32, active: mi.Bool) -> _Lobe:
+        one = dr.gather(mi.Vector4f, self._slits, 2 * number, active)
+        other = dr.gather(mi.Vector4f, self._slits, 2 * number + 1, active)
         first, second = mi.Vector3f(one.x, one.y, one.z) - origin, mi.Vector3f(other.x, other.y, other.z) - origin
         along = second - first
         length = dr.norm(along)

@@ -33,7 +33,9 @@ def photons(part: float, *, width: float = WIDTH, gap: Array = GAP, count: int =
     line = np.where(lit[:, None], through, anywhere) - position
     line[:, 2] = np.abs(line[:, 2])
     line /= np.linalg.norm(line, axis=1, keepdims=True)
-    return Lines(position, line, rng.random(count), 16 * cell[:, 0] + cell[:, 1], np.zeros(count, np.bool_))
+    return Lines(
+        position, line, rng.random(count), 16 * cell[:, 0] + cell[:, 1], np.full(count, 10.0), np.zeros(count, np.bool_)
+    )
 
 
 def turned(lines: Lines, by: Rotation, scale: float, shift: float) -> Lines:
@@ -86,6 +88,8 @@ def test_two_slits_are_told_apart() -> None:
     assert len(slits.spread) == 2
     apart = [min(distance(gap, ends).max() for ends in slits.ends) for gap in (GAP, other)]
     assert max(apart) < 2.0 * WIDTH
+    assert np.median(slits.chances[0, 128:], axis=0).min() > 0.17
+    assert (slits.chances.sum(axis=-1) < LARGEST_CHANCE + 1e-6).all()
 
 
 @pytest.mark.parametrize(
@@ -97,6 +101,7 @@ def test_two_slits_are_told_apart() -> None:
         NONE,
         replace(photons(0.4), position=np.ones((6000, 3)), direction=np.tile([0.0, 0.0, 1.0], (6000, 1))),
         replace(photons(0.4), straight=np.ones(6000, np.bool_)),
+        replace(photons(0.4), rise=np.full(6000, 3.0)),
     ],
     ids=[
         "light from anywhere",
@@ -105,6 +110,7 @@ def test_two_slits_are_told_apart() -> None:
         "no photons",
         "one photon again and again",
         "light of a lamp",
+        "no brighter there",
     ],
 )
 def test_what_is_no_slit_is_not_found(lines: Lines) -> None:
@@ -167,18 +173,18 @@ def changed(name: str, value: Any) -> dict[str, Array]:
         changed("ends", np.array([[[0, 0, 0], [0, 0, 1e30]]], np.float32)),
         changed("spread", np.zeros(1, np.float32)),
         changed("spread", np.ones(1)),
-        changed("which", np.ones((2, REGIONS), np.uint32)),
-        changed("which", np.zeros((2, REGIONS), np.int64)),
-        changed("chances", np.full((2, REGIONS), 0.6, np.float32)),
-        changed("chances", np.full((2, REGIONS), np.nan, np.float32)),
-        changed("chances", np.zeros((2, REGIONS - 1), np.float32)),
+        changed("chances", np.full((2, REGIONS, 1), 0.6, np.float32)),
+        changed("chances", np.full((2, REGIONS, 1), -0.1, np.float32)),
+        changed("chances", np.full((2, REGIONS, 1), np.nan, np.float32)),
+        changed("chances", np.zeros((2, REGIONS - 1, 1), np.float32)),
+        changed("chances", np.zeros((2, REGIONS, 2), np.float32)),
+        changed("chances", np.zeros((2, REGIONS, 1))),
         changed("ends", np.zeros((0, 2, 3), np.float32)) | {"spread": np.zeros(0, np.float32)},
         {"spread": np.ones(1, np.float32)},
         {
             "ends": np.tile(np.eye(3, dtype=np.float32)[:2], (MOST + 1, 1, 1)),
             "spread": np.ones(MOST + 1, np.float32),
-            "which": np.zeros((2, REGIONS), np.uint32),
-            "chances": np.zeros((2, REGIONS), np.float32),
+            "chances": np.zeros((2, REGIONS, MOST + 1), np.float32),
         },
     ],
 )

@@ -27,9 +27,10 @@ def slit(spread: float, chance: float) -> Any:
     from elps_core.context.slits import Slits
     from elps_core.sampling.slits import SlitDirections
 
-    which, chances = np.zeros((2, 1), np.uint32), np.array([[0.1], [chance]], np.float32)
-    found = Slits(ENDS[None].astype(np.float32), np.array([spread], np.float32), which, chances)
-    return SlitDirections(found, "light")
+    # Another one that no path of this side aims at.
+    ends = np.stack([ENDS[:, ::-1], ENDS]).astype(np.float32)
+    chances = np.array([[[0.1, 0.2]], [[0.0, chance]]], np.float32)
+    return SlitDirections(Slits(ends, np.array([0.1, spread], np.float32), chances), "light")
 
 
 def draw(mi: Any, towards: Any, origin: list[float]) -> tuple[Any, Any, Any]:
