@@ -126,7 +126,7 @@ def _meeting(x: Doubles, line: Doubles) -> tuple[Doubles, Doubles]:
     root = b * b - 4.0 * a * c
     q = -0.5 * (b + np.copysign(np.sqrt(np.maximum(root, 0.0)), b))
     found = []
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         for step in (q / c, a / q):
             both = first + step[:, None] * second
             direction, moment = both[:, :3], both[:, 3:]
