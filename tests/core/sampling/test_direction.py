@@ -256,7 +256,8 @@ def test_what_paths_are_paid_is_what_tables_expect_of_all_directions(own: float)
     from elps_core.sampling.direction import LIKELIER
 
     scene, si = place("diffuse")
-    parts = replace(adversaries.parts(scene, "random"), aims=None, slits=None)  # Half of these lie below
+    # Half of all points and slits lie below the surface.
+    parts = replace(adversaries.parts(scene, "random"), aims=None, slits=None)
     directions = made(parts, eye=own, light=None)
     active, count = mi.Bool(True), 1 << 18
     region = int(np.array(directions.region(si, si.wi, active)).ravel()[0])
