@@ -107,7 +107,7 @@ class ContextBuilder:
             else:
                 self._parts = self._parts or self._tables.result()
                 runner = self._runner(self._parts, lights)
-                self._pilots.append(runner.run(self._measured[len(self._pilots)]))
+                self._pilots.append(runner.run(self._measured[len(self._pilots)], self._pilots))
         self._seconds += time.perf_counter() - begin
 
     def _scout(self, tables: TableBuilder, lights: StartDensity) -> None:
@@ -116,7 +116,7 @@ class ContextBuilder:
         runner = self._runner(parts, lights)
         for name in SCOUTS:
             if name in self._candidates and not (name == SCOUTS[-1] and unguided_wins(self._scouts)):
-                self._scouts.append(runner.run(name, scout=True))
+                self._scouts.append(runner.run(name, self._scouts, scout=True))
         if unguided_wins(self._scouts):
             tables.stop()
             self._parts = parts

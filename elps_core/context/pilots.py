@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
-from elps_core.choice import CANDIDATES, WITH_CAUSTICS, Pilot, candidate
+from elps_core.choice import TWINS, WITH_CAUSTICS, Pilot, candidate
 from elps_core.context.pilot_image import DARK, blurred
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt, Splat
@@ -30,6 +31,8 @@ POINTS = 16
 """Samples of a set, spread evenly as in renders; each pixel has two sets, whose difference tells of noise alone."""
 LEAST, MOST, SECONDS, SCOUTING = 2, 16, 0.25, 0.15
 """Blocks of a candidate; no more are begun after this time, or that of a scout."""
+PAIRS = BLOCK // (2 * POINTS)
+"""Pixels of a block."""
 TURNS = 4
 """Samples of a lane, one after the other, as in renders."""
 BLURS = 8
@@ -45,15 +48,18 @@ RIVAL = 0xFFFF
 SINGULAR = 0.5
 """Part of a variance above which one pair of sets says nothing of it."""
 SUMS = 1 << 10
-"""Places that a sum is spread over, so that threads seldom meet."""
+"""Places that a sum is spread over by the number of the path: threads seldom meet, and the scatter tells its error."""
+SURELY = 2.0
+"""Standard errors by which what light paths tell of eye paths is taken to be less: at a door that is ajar by 3 degrees
+it was 14 to 660 and is 0 to 6 so, with a bulb in glass 300 to 550 and is 190 to 290."""
 
 
 @dataclass(frozen=True)
 class _Block:
     by_eye: NDArray[np.float64]
     """Variance and mean by eye paths [2, pixels], in parts that add up to them."""
-    by_light: tuple[float, float]
-    """The same by light paths that meet the sensor."""
+    by_light: NDArray[np.float64]
+    """The same by light paths that meet the sensor [2, SUMS]."""
 
 
 def without_singular(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -69,6 +75,11 @@ def without_singular(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
         kept[left == most] = False
         left[left == most] = 0.0
     return kept
+
+
+def at_least(parts: NDArray[np.float64]) -> float:
+    """What the mean of independent ``parts`` surely is: a few of them may have decided it."""
+    return float(parts.mean() - SURELY * parts.std(ddof=1) / np.sqrt(len(parts)))
 
 
 class PilotRunner:
@@ -95,16 +106,22 @@ class PilotRunner:
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(camera.size.x), height / int(camera.size.y)])
 
-    def run(self, name: str, *, scout: bool = False) -> Pilot:
-        """Measure the candidate ``name``, by samples of their own and fewer if it is a ``scout``."""
+    def run(self, name: str, others: Iterable[Pilot] = (), *, scout: bool = False) -> Pilot:
+        """Measure the candidate ``name``, by samples of their own and fewer if it is a ``scout``.
+
+        With as many samples as that one of the ``others`` had that makes the same eye paths.
+        """
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
-        key = (self._settings.context.seed, STREAM, list(CANDIDATES).index(name), int(scout))
+        # The same numbers for all candidates: what one has met by chance others have, where they make the same paths.
+        key = (self._settings.context.seed, STREAM, int(scout))
         limit = SCOUTING if scout else SECONDS
+        twin = next((pilot for pilot in others if pilot.name == TWINS.get(name)), None)
+        least, most = (twin.samples // BLOCK,) * 2 if twin else (LEAST, MOST)
         found: list[_Block] = []
         seconds: list[float] = []
         begin = time.perf_counter()
-        while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < limit):
+        while len(found) < least or (len(found) < most and time.perf_counter() - begin < limit):
             # Of kernels alone: what comes before they run is the same for the many more samples of a chunk.
             with KernelClock() as kernels:
                 found.append(self._block(bdpt, (*key, len(found))))
@@ -113,13 +130,15 @@ class PilotRunner:
                 begin = time.perf_counter()
         rival = self._rival(bdpt, (*key, RIVAL)) if name == WITH_CAUSTICS else 0.0
         count = len(found)
-        parts = np.stack([block.by_eye for block in found], axis=1)  # [2, blocks, pixels]
-        parts = parts * without_singular(parts[0])
-        both = parts.sum(axis=2) + np.array([block.by_light for block in found]).T
-        # Errors by blocks, and by pixels: a few blocks may come out alike by chance.
+        kinds = [np.stack(every, axis=1) for every in ([b.by_eye for b in found], [b.by_light for b in found])]
+        parts = np.concatenate(kinds, axis=2)  # [2, blocks, pixels and light paths]
+        parts *= without_singular(parts[0])
+        both = parts.sum(axis=2)
+        # Errors by blocks, and by their parts: a few blocks may come out alike by chance.
         by_block = both.std(axis=1, ddof=1) / np.sqrt(count)
-        by_pixel = np.sqrt(parts.var(axis=2, ddof=1).mean(axis=1) * parts.shape[2] / count)
-        (variance, mean), (error, mean_error) = both.mean(axis=1), np.maximum(by_block, by_pixel)
+        kinds = np.split(parts, [kinds[0].shape[2]], axis=2)
+        by_part = np.sqrt(sum(kind.var(axis=2, ddof=1).mean(axis=1) * kind.shape[2] for kind in kinds) / count)
+        (variance, mean), (error, mean_error) = both.mean(axis=1), np.maximum(by_block, by_part)
         return Pilot(
             name=name,
             variance=float(variance),
@@ -138,30 +157,32 @@ class PilotRunner:
         the sum of squares: what all that meet a pixel bring together is far more than one brings.
         """
         thinning = bdpt.thinning
-        lit = BLOCK // thinning
+        lit_pairs, lit = PAIRS // thinning, BLOCK // thinning
         splat, squares, sums = self._light_sums()
+        pixels = dr.floor(Stream.of(PAIRS, *key, 0).next_2d() * mi.Point2f(self._camera.size))
         by_eye = []
-        # All samples share the time, and the image: strata of their own, weighted by their part of it.
-        for number, (count, scale) in enumerate(((lit, float(thinning)), (BLOCK - lit, None))):
-            if not count:
+        # Those with a light path come first; they share the time, and the image, with the others.
+        for first, pairs, scale in ((0, lit_pairs, float(thinning)), (lit_pairs, PAIRS - lit_pairs, None)):
+            if not pairs:
                 continue
-            sets = count // POINTS
-            pixels = dr.floor(Stream.of(sets // 2, *key, number, 0).next_2d() * mi.Point2f(self._camera.size))
+            count = 2 * POINTS * pairs
             sample = dr.arange(mi.UInt32, count)
-            group = sample % sets
-            nets = Nets(group, sample // sets, opaque_key(*key, number, 1))
-            position = dr.gather(mi.Point2f, pixels, group % (sets // 2)) + nets.positions()
+            group = sample % (2 * pairs)
+            pair = group % pairs + dr.opaque(mi.UInt32, first)
+            # Two sets for a pixel, the same ones for all candidates.
+            nets = Nets(pair + group // pairs * PAIRS, sample // (2 * pairs), opaque_key(*key, 1))
+            position = dr.gather(mi.Point2f, pixels, pair) + nets.positions()
             lane = dr.arange(mi.UInt32, -(-count // TURNS))
-            at_large = Nets(dr.zeros(mi.UInt32, count), sample, opaque_key(*key, number, 2))
+            at_large = Nets(dr.zeros(mi.UInt32, count), sample, opaque_key(*key, 2))
             streams = nets.stream(lane), at_large.stream(lane)
             radiance, wavelengths = bdpt.trace(position, streams, splat, light_scale=scale, turns=TURNS)
             found = luminance(mi.UnpolarizedSpectrum(radiance), wavelengths) * self._worth(position)
-            relative = np.array(found, np.float64).reshape(POINTS, 2, sets // 2)
+            relative = np.array(found, np.float64).reshape(POINTS, 2, pairs)
             means = np.where(np.isfinite(relative), relative, 0.0).mean(axis=0)
             noise = 0.5 * POINTS * np.square(means[0] - means[1])
-            by_eye.append(np.stack([noise, means.mean(axis=0)]) * (count / BLOCK / len(noise)))
-        of_light, by_light = (float(dr.sum(total)[0]) / lit for total in (squares, sums))
-        return _Block(np.concatenate(by_eye, axis=1), (thinning * of_light, by_light))
+            by_eye.append(np.stack([noise, means.mean(axis=0)]) / PAIRS)
+        by_light = np.array([squares, sums], np.float64) / np.array([[lit / thinning], [lit]])
+        return _Block(np.concatenate(by_eye, axis=1), by_light)
 
     def _rival(self, bdpt: Bdpt, key: tuple[int, ...]) -> float:
         """Variance of the eye paths of ``bdpt`` without its light paths, by what light paths meet.
@@ -178,7 +199,7 @@ class PilotRunner:
         streams = Stream.of(RIVALS // TURNS, *key, 1), nets.stream(lane)
         lights_alone.trace(dr.zeros(mi.Point2f, RIVALS), streams, splat, turns=TURNS)
         # The square of their mean is no variance: they bring a pixel's light at most, which counts as 1.
-        return max(0.0, float(dr.sum(squares)[0]) / RIVALS - 1.0)
+        return max(0.0, at_least(np.array(squares, np.float64) * (SUMS / RIVALS)) - 1.0)
 
     def _light_sums(self) -> tuple[Splat, mi.Float, mi.Float]:
         """What takes the contributions of light paths, and the sums [SUMS] of their squares and of themselves.
@@ -191,12 +212,12 @@ class PilotRunner:
             where: mi.Point2f,
             value: mi.Spectrum,
             wavelengths: mi.Spectrum,
-            sample: mi.UInt32,  # noqa: ARG001 (all add to one sum)
+            sample: mi.UInt32,
             active: mi.Bool,
         ) -> None:
             amount = luminance(mi.UnpolarizedSpectrum(value), wavelengths)
             relative = amount * self._worth(where)
-            place = mi.UInt32(dr.abs(where.x) * SUMS) & (SUMS - 1)
+            place = sample & (SUMS - 1)
             active = active & dr.isfinite(relative)
             dr.scatter_reduce(dr.ReduceOp.Add, squares, dr.square(relative), place, active)
             dr.scatter_reduce(dr.ReduceOp.Add, sums, relative, place, active)

@@ -20,6 +20,7 @@ from elps_core.choice import (
     LIT_UNJOINED,
     MOST_GAIN,
     PILOTS,
+    RIVALS_FALL,
     SCOUTS,
     SLOWEST,
     STILL,
@@ -236,11 +237,22 @@ def test_training_goes_on_where_light_is_hard_to_find() -> None:
     assert not unguided_wins(hard)
 
 
-def test_rivals_do_not_stop_training() -> None:
+@pytest.mark.parametrize(
+    ("efficiencies", "rival", "wins"),
+    [
+        ({"pe": 2.0, "bp": 1.1}, 0.0, False),
+        ({"pe": 2.0, "bp": 1.1}, RIVALS_FALL / 1.3, False),  # Eye paths will still be better than others
+        ({"pe": 2.0, "bp": 1.0}, RIVALS_FALL / 0.9, True),
+        ({"pp": 9.0, "pe": 2.0, "beu": 1.5}, 1e9, False),  # Those without tables are no better then
+        ({"pp": 9.0, "pe": 2.0, "beu": 1.5}, 0.0, True),
+    ],
+)
+def test_what_light_paths_tell_of_eye_paths_may_stop_training(
+    efficiencies: dict[str, float], rival: float, wins: bool
+) -> None:
     told = "bdpt, enlightened, unjoined"
-    said = [replace(pilot, rival=1e9 * (pilot.name == told)) for pilot in clear(pp=1.5, pe=2.0)]
-    assert not unguided_wins(said)
-    assert unguided_wins([pilot for pilot in said if pilot.name != "path, enlightened"])
+    said = [replace(pilot, rival=rival * (pilot.name == told)) for pilot in clear(**efficiencies)]
+    assert unguided_wins(said) is wins
 
 
 def test_scouts_need_something_to_compare() -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
-from elps_core.choice import CANDIDATES, PILOTS, SCOUTS, Pilot, candidate, choose
+from elps_core.choice import CANDIDATES, PILOTS, SCOUTS, TWINS, Pilot, candidate, choose
 from elps_core.context.store import GlobalContext
 from elps_core.scene.generate import cornell, write
 from elps_core.scene.loader import LoadedScene, load_scene
@@ -148,3 +149,40 @@ def test_light_paths_tell_no_more_than_the_variance_of_eye_paths(box: LoadedScen
     rival = pilots["bdpt, enlightened, unjoined"]["rival"]
     assert 0.0 <= rival < 1.3 * pilots["path, enlightened"]["variance"]
     assert all(entry["rival"] == 0.0 for name, entry in pilots.items() if name != "bdpt, enlightened, unjoined")
+
+
+def test_what_one_path_says_is_not_sure() -> None:
+    from elps_core.context.pilots import at_least
+
+    assert at_least(np.full(64, 3.0)) == 3.0
+    lone = np.zeros(64)
+    lone[5] = 640.0
+    assert at_least(lone) < 0.0
+    some = np.random.default_rng(1).exponential(4.0, 1 << 12)
+    assert 3.5 < at_least(some) < some.mean()
+
+
+def test_the_same_eye_paths_are_compared(box: LoadedScene) -> None:
+    """What chance has brought one of two candidates, it brings the other: both have as many of the same samples."""
+    from elps_core.context.build import start_density
+    from elps_core.context.pilots import BLOCK, PilotRunner
+    from elps_core.integrators.make import paths_of
+    from elps_core.scene.emission import Emission
+    from elps_core.scene.sensors import Camera
+
+    context = context_of(box)
+    assert context.directions is not None
+    lights = start_density(context, Emission(box.scene))
+    runner = PilotRunner(box.scene, Camera(box.sensor), lights, context.directions, SETTINGS)
+    for name, twin in TWINS.items():
+        fewer = replace(runner.run(twin), samples=2 * BLOCK)
+        assert runner.run(name, [fewer]).samples == 2 * BLOCK
+        settings = RenderSettings(integrator="auto", max_depth=SETTINGS.max_depth, context=SETTINGS)
+        paths = [
+            paths_of(box.scene, Camera(box.sensor), lights, candidate(settings, each), context.directions)
+            for each in (name, twin)
+        ]
+        unjoined, same = (np.log(runner._block(bdpt, (7,)).by_eye[0]) for bdpt in paths)
+        others = np.log(runner._block(paths[1], (8,)).by_eye[0])
+        assert np.corrcoef(unjoined, same)[0, 1] > 0.6
+        assert abs(np.corrcoef(others, same)[0, 1]) < 0.2
