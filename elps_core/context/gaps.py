@@ -18,9 +18,6 @@ KEPT = 16
 ROOM, LEAST_ROOM = 4, 1 << 18
 """Times as many for which there is room, and particles for which there is in any case."""
 
-OFF = 1e-4
-"""How far from a surface a ray begins, over its distance from the origin and 1."""
-
 
 def thinned(evidence: NDArray[np.float64], *, now: bool) -> Thinned:
     """What keeps some particles of a step that brings as many as all before it have: so many by region [K].
@@ -56,10 +53,9 @@ def _lines(scene: mi.Scene, kept: Thinned, lookup: RegionLookup, irradiance: NDA
     particles = kept.buffer.take()
     if not len(particles):
         return NONE
-    side = mi.Vector3f(particles.normal) * dr.sign(dr.dot(particles.normal, particles.direction))
-    region = np.array(lookup(particles.position, side), np.int64)
-    origin = particles.position + OFF * (1.0 + dr.max(dr.abs(particles.position))) * side
-    met = scene.ray_intersect(mi.Ray3f(origin, particles.direction))
+    here, ray = lookup.back(particles)
+    region = np.array(here, np.int64)
+    met = scene.ray_intersect(ray)
     before = lookup(met.p, dr.mulsign(mi.Vector3f(met.sh_frame.n), mi.Frame3f.cos_theta(met.wi)), met.is_valid())
     there = np.where(np.array(met.is_valid()), irradiance[np.array(before)], 0.0)
     rise = there / np.maximum(irradiance[region], 1e-300)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from elps_core.arrays import on_device
 from elps_core.context.nearest import PointSet
 from elps_core.context.regions import BINS, SIDE_BITS, Floats, Regions, Table
+from elps_core.particles.records import Particles
 
 VOXELS = 400_000
 """Voxels of a table, at most; with six bins of 16 bits, 4.6 MiB. Indoors a table of equal voxels needs
@@ -25,6 +26,8 @@ needs; fewer leave too little to give, once every brick has its least."""
 LEAST_SIDE = 2
 """Voxels along a brick without region centres: surfaces may pass there that no particle has found."""
 MAX_SIDE = (1 << SIDE_BITS) - 1
+OFF = 1e-4
+"""How far from a surface a ray begins, over its distance from the origin and 1: as far as Mitsuba's own or farther."""
 SEARCH_STEPS = 60
 """Halvings of the interval in which a scale is sought: more digits than a float has."""
 
@@ -129,6 +132,13 @@ class RegionLookup:
         cell = mi.UInt32(_bin(n) * self._voxels + index)
         pair = dr.gather(mi.UInt32, self._pairs, cell >> 1, active)
         return pair >> ((cell & 1) << 4) & 0xFFFF
+
+    def back(self, particles: Particles) -> tuple[mi.UInt32, mi.Ray3f]:
+        """Region of each particle, and the ray back to where it came from."""
+        side = mi.Vector3f(particles.normal) * dr.sign(dr.dot(particles.normal, particles.direction))
+        # Off the surface, as far as rays are kept from it.
+        origin = particles.position + OFF * (1.0 + dr.max(dr.abs(particles.position))) * side
+        return self(particles.position, side), mi.Ray3f(origin, particles.direction)
 
 
 def _bin(n: mi.Vector3f) -> mi.Int32:

@@ -20,9 +20,6 @@ from elps_core.context.lookup import RegionLookup
 from elps_core.particles.records import Particles
 from elps_core.sampling.aims import AimedDirections
 
-OFF = 1e-4
-"""How far from a surface a ray begins, over its distance from the origin and 1: as far as Mitsuba's own or farther."""
-
 
 @dataclass(frozen=True)
 class Places:
@@ -68,11 +65,8 @@ def _seen_by_regions(scene: mi.Scene, lookup: RegionLookup, batches: Iterable[Pa
     for photons in batches:
         if not len(photons):
             continue
-        side = mi.Vector3f(photons.normal) * dr.sign(dr.dot(photons.normal, photons.direction))
-        region = lookup(photons.position, side)
-        # Off the surface, as far as rays are kept from it.
-        origin = photons.position + OFF * (1.0 + dr.max(dr.abs(photons.position))) * side
-        distance = scene.ray_intersect_preliminary(mi.Ray3f(origin, photons.direction)).t
+        region, ray = lookup.back(photons)
+        distance = scene.ray_intersect_preliminary(ray).t
         distance = dr.select(dr.isfinite(distance), distance, 0.0)
         place, line = (np.array(part, np.float64).T for part in (photons.position, photons.direction))
         far, weight = (np.array(part, np.float64) for part in (distance, photons.weight))

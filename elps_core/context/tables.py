@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from elps_core.arrays import on_device
 from elps_core.context.areas import region_areas
 from elps_core.context.clustering import Clustering, groups_of
+from elps_core.context.collect import collect
 from elps_core.context.directional import DirectionalAccumulator, finish
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.field import DirectionalField
@@ -25,7 +26,6 @@ from elps_core.context.gather import (
     STREAM,
     caustics,
     gather,
-    sampler,
 )
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.mirrored import Places, mirrored
@@ -40,7 +40,6 @@ from elps_core.context.surroundings import SHARE, sees_enough, with_pieces
 from elps_core.context.walks import WalkRecorder
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.frame import LANES
-from elps_core.particles.records import IMPORTON, PHOTON, Particles
 from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
@@ -50,7 +49,6 @@ from elps_core.sampling.direction import ENOUGH, NEVER, Guide, GuidedDirections
 from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
-from elps_core.scene.spectrum import luminance
 from elps_core.settings import USUAL_PATHS, ContextSettings
 
 CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
@@ -78,8 +76,6 @@ FED = 1000.0
 TRAINING_NOISE = 2.0
 """Noise of a path, over its pixel, that roulette assumes: less than there is, so that it ends few paths by tables that
 still change."""
-PILOT_PATHS = 1 << 19
-"""Paths of the pilot image where particles fill the tables."""
 LINES = 1 << 19
 """Random lines by which areas are measured."""
 
@@ -306,7 +302,7 @@ class TableBuilder:
         if walks:
             self._walk(lights, finder, self._made.areas, paths, number, key)
         else:
-            self._collect(lights, finder, self._made.areas, paths, key)
+            collect(self.scene, self.camera, self.settings, lights, finder, self._made, paths, key)
         self._made.paths += paths
 
     def _walk(
@@ -403,59 +399,9 @@ class TableBuilder:
         if pieces(lights) and not known:
             self._made.lights = np.array(direct, np.float64).reshape(finder.lookup.count, -1)
 
-    def _collect(
-        self, lights: StartDensity, finder: GuidedDirections, areas: Doubles, paths: int, key: tuple[int, ...]
-    ) -> None:
-        """Particles of both kinds; each half of a step is a batch."""
-        pilot = self._made.pilot
-        if not pilot.sums.any():
-            self._trace_pilot(lights, key)
-        pixels = PixelWorth(pilot.image(), pilot.noise(), self.camera.size)
-
-        def worth(position: mi.Point2f) -> mi.Float:
-            return pixels(position) / pixels.gain
-
-        for part in range(2):
-            particle_sampler = sampler(
-                self.scene, self.camera, self.settings, lights, max(1024, paths // 2), worth=worth
-            )
-            for particles in particle_sampler.run((*key, part)):
-                for kind, name in ((PHOTON, "photons"), (IMPORTON, "importance")):
-                    # Light that comes straight from a lamp is the business of light sampling.
-                    _enter(particles.of(kind), finder, self._made.sources[name], 2 if kind == PHOTON else 1)
-            for name in ("photons", "importance"):
-                self._made.sources[name].close_batch(areas)
-
-    def _trace_pilot(self, lights: StartDensity, key: tuple[int, ...]) -> None:
-        """Plain paths, since particles tell nothing of the image."""
-        bdpt = Bdpt(
-            self.scene,
-            self.camera,
-            lights,
-            max_depth=self.settings.max_depth,
-            roulette=RouletteRule("albedo", 5),
-            strategies=strategies.path(),
-        )
-        turns = -(-PILOT_PATHS // LANES[dr.backend_v(mi.Float)])
-        streams = (Stream.of(-(-PILOT_PATHS // turns), *key, 2), Stream.of(1, *key, 3))
-        place = Stream.of(PILOT_PATHS, *key, 4).next_2d()
-        film = place * mi.Point2f(self.camera.size)
-        radiance, wavelengths = bdpt.trace(film, streams, lambda *_: None, light_scale=None, turns=turns)
-        self._made.pilot.enter(place, luminance(mi.UnpolarizedSpectrum(radiance), wavelengths))
-
 
 def _normalised(sums: Doubles) -> Doubles:
     """Of each row's total; zeros where that is none."""
     total = sums.sum(axis=1, keepdims=True)
     found: Doubles = np.divide(sums, total, out=np.zeros_like(sums), where=total > 0.0)
     return found
-
-
-def _enter(particles: Particles, finder: GuidedDirections, table: DirectionalAccumulator, first: int) -> None:
-    """Add particles of a depth of ``first`` or more."""
-    if not len(particles):
-        return
-    side = dr.mulsign(mi.Vector3f(particles.normal), dr.dot(particles.normal, particles.direction))
-    region = finder.lookup(particles.position, side)
-    table.add(region, particles.direction, particles.weight, particles.depth >= first)
-    dr.eval(table.state)

@@ -112,11 +112,13 @@ CASES = {
             "thesis bdpt",
             CACHED,
         ),
+        "enlightened path",
         pictures=("mi_path", "enlightened path", "auto"),
     ),
     "door 3": Case(
         lambda path: write(door(angle=3.0), path),
         (*PEERS, "enlightened path", "enlightened bdpt, unjoined", "auto"),
+        "enlightened path",
         factor=2.0,
     ),
     "maze": Case(
@@ -153,10 +155,10 @@ def _known(scenes: list[str]) -> list[str]:
 
 
 def _ways(names: list[str]) -> list[str]:
-    """Refuses a way that is none of :data:`WAYS`."""
+    """Refuses a way that is none of :data:`WAYS`, nor that of a second job."""
     for name in names:
-        if name not in WAYS:
-            raise typer.BadParameter(f"there is no way '{name}': choose among {', '.join(WAYS)}")
+        if name not in WAYS and name != CACHED:
+            raise typer.BadParameter(f"there is no way '{name}': choose among {', '.join((*WAYS, CACHED))}")
     return names
 
 
