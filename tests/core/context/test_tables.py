@@ -18,7 +18,7 @@ from elps_core.context.aims import POINTS, Aims
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.store import DirectionalParts, GlobalContext, load, save
 from elps_core.errors import ContextMismatch
-from elps_core.scene.generate import cornell, write
+from elps_core.scene.generate import cornell, door, write
 from elps_core.scene.loader import LoadedScene, load_scene
 from elps_core.settings import ContextSettings, ParticleSource
 
@@ -230,6 +230,27 @@ def test_caustics_have_small_regions_and_tables_that_know_them(tmp_path: Path, m
     few, far = spread(scene, without.result().directions)
     assert many > 1.2 * few
     assert near < 0.55 * far
+
+
+def test_few_caustics_get_more_light_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from elps_core.context import gather
+    from elps_core.sampling.start import StartDensity, power_table
+    from elps_core.scene.emission import Emission
+
+    write(door(angle=3.0), tmp_path / "scene.zip")
+    scene = load_scene(tmp_path / "scene.zip", "llvm_ad_rgb", size=(24, 18))
+    emission = Emission(scene.scene)
+    lights = StartDensity(emission, power_table(emission))
+    found, flux = [], []
+    for most in (1, gather.MORE_PATHS):
+        monkeypatch.setattr(gather, "MORE_PATHS", most)
+        batches = [
+            photons.arrays() for photons in gather.caustics(scene.scene, ContextSettings(), lights, gather.KNOWING)
+        ]
+        found.append(sum(len(photons.weight) for photons in batches))
+        flux.append(sum(photons.weight.sum(dtype=np.float64) for photons in batches))
+    assert found[1] == pytest.approx(gather.MORE_PATHS * found[0], rel=0.1)
+    assert flux[1] == pytest.approx(flux[0], rel=0.2)
 
 
 def test_without_mirrors_and_glass_there_are_no_caustics(state: dict[str, Array]) -> None:
