@@ -31,7 +31,7 @@ WORTHWHILE, CERTAIN = 0.02, 0.05
 """Part of the light of these that has to come through a slit, the light of each region counting alike, and how much
 likelier it has to make them: the mean logarithm, by light. At 3 degrees the gap beside a door has 0.36 to 0.56 and the
 crack of half a centimetre along its hinges 0.06 to 0.16, at 9 degrees the gap 0.17 to 0.28, at 20, where it is as wide
-as cells are, 0.04 to 0.06, and nothing has more than 0.01 where the door stands wide open."""
+as cells are, 0.04 to 0.06, and nothing has more than 0.02 where the door stands wide open."""
 RANKING = 4096
 """Photons that tell which candidates are worth a fit, at least as many as half of that where there are."""
 TRIED = 4
