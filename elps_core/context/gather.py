@@ -32,8 +32,8 @@ where one ball is of glass, and its lamp in the next room."""
 CAUSTIC_PHOTONS, MORE_PATHS, FEWER_FOR_REGIONS = 1 << 15, 8, 4
 """Photons below which there are more paths; how many times as many at most, in 0.6 s, and for the regions. With the
 door to the next room ajar by 3 degrees, 3000 photons taught tables little of what the ball of glass brings to the table
-under it, and that was 104 of a second moment of 383 and 225 of 553; with 27000 it was 44 of 359 and 15 of 504. With eight
-times as many for the regions it was 0 to 34, but these leave fewer regions to the rest."""
+under it, and that was 104 of a second moment of 383 and 225 of 553; with 27000 it was 44 of 359 and 15 of 504. With
+eight times as many for the regions it was 0 to 34, but these leave fewer regions to the rest."""
 TRIAL = 0xFFFF
 """Keeps the random numbers of the paths that tell how many are needed apart."""
 CAUSTIC_PART = 0.25
