@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
+from elps_core.context.edges import edges
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.slits import NONE, Lines, Slits, find
 from elps_core.context.walks import Thinned
 from elps_core.particles.records import ParticleBuffer
 
-KEPT = 16
+KEPT = 64
 """Particles that are kept of a region, about, where a step brings so many."""
 ROOM, LEAST_ROOM = 4, 1 << 18
 """Times as many for which there is room, and particles for which there is in any case."""
@@ -35,7 +36,6 @@ def slits(
     photons: Thinned,
     importons: Thinned,
     lookup: RegionLookup,
-    neighbourhoods: NDArray[np.uint32],
     lenders: NDArray[np.uint32],
     irradiance: NDArray[np.float64],
     cell: float,
@@ -43,10 +43,10 @@ def slits(
 ) -> Slits | None:
     """Slits that ``photons`` came through from where regions have more ``irradiance`` [K].
 
-    Groups of regions as of :func:`elps_core.context.slits.find`.
+    Groups of regions ``lenders`` as of :func:`elps_core.context.slits.find`.
     """
     lit, seen = (_lines(scene, kept, lookup, irradiance) for kept in (photons, importons))
-    return find(lit, seen, neighbourhoods, lenders, cell, seed)
+    return find(lit, seen, lenders, edges(scene), cell, seed)
 
 
 def _lines(scene: mi.Scene, kept: Thinned, lookup: RegionLookup, irradiance: NDArray[np.float64]) -> Lines:

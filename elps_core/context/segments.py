@@ -1,26 +1,27 @@
-"""Segments that lines pass by closely: found by random fours of lines, and fitted to all of them. Needs no Mitsuba.
+"""Segments that lines pass by closely, near edges of the scene. Needs no Mitsuba.
 
-Any four lines have two others at most that meet all four. Fours of lines of the same neighbourhood are drawn, and what
-meets them is judged by how many others pass by closely, and not only so as to fill a cell of a table: a search by
-random samples, after Fischler and Bolles (1981).
+A gap ends where surfaces do. So what may be a gap is known, however few of the lines come through it: edges are judged
+by how many lines pass by closely, and not only so as to fill a cell of a table, and segments are fitted to these.
 
 Lengths are in units of the scene, so that they are of the order of 1.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Doubles = NDArray[np.float64]
 
-FOURS, FIRST_JUDGES, JUDGES, PLACES = 1000, 32, 256, 2
-"""Fours of lines in each neighbourhood, other lines that judge what meets them, and what is kept."""
-FEWEST = 32
-"""Lines of a neighbourhood that is searched."""
+JUDGES, TRIED, BEYOND = 1024, 12, 0.02
+"""Lines that judge edges, edges that a segment is fitted near, and how far beyond their ends lines pass by, over their
+length."""
+LEAST = 0.5
+"""Part of an edge's length that a segment beside it has: others have turned away."""
+FEWEST = 10
+"""Lines that a segment is fitted to, at least."""
 NARROW = 8.0
 """Part of a cell's width, 1 over it, within which lines pass by closely: what fills cells is left to tables."""
 STEPS, RELAXED, TIGHTER, FARTHER = 20, 12.0, 0.7, 1.8
@@ -54,6 +55,11 @@ class Passing:
         """That the other is seen away from the line; more than any is, behind."""
         return np.where(self.far > TINY, self.miss / np.maximum(self.far, TINY), np.inf)
 
+    def within(self, length: Doubles | float) -> NDArray[np.bool_]:
+        """Whether they do between the ends of another one of that ``length``, or not far beyond them."""
+        within: NDArray[np.bool_] = (self.along > -BEYOND * length) & (self.along < (1.0 + BEYOND) * length)
+        return within
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -75,67 +81,33 @@ class Segment:
         return _passing(self.first, (self.second - self.first) / self.length, x, line)
 
 
-def candidates(
-    x: Doubles, line: Doubles, light: Doubles, group: NDArray[Any], width: float, rng: np.random.Generator
+def beside(
+    edges: Doubles, x: Doubles, line: Doubles, light: Doubles, width: float, rng: np.random.Generator
 ) -> list[Segment]:
-    """Of each ``group`` [n] the lines, with a point and a direction each, that most of its lines pass by closely.
+    """Segments fitted near those of the ``edges`` [n, 2, 3] that most lines pass by closely.
 
     Lines begin at ``x`` [n, 3] and go along the unit vectors ``line`` [n, 3]; each counts as its ``light`` [n] says.
     ``width`` is that of a cell, in radians.
     """
+    if not len(edges) or not light.sum() > 0.0:
+        return []
+    length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1, keepdims=True)
+    judges = rng.choice(len(light), JUDGES, p=light / light.sum())
+    passing = _passing(edges[:, :1], (edges[:, 1:] - edges[:, :1]) / length[:, None], x[judges], line[judges])
+    angle = np.where(passing.within(length), passing.angle, np.inf)
+    score = (angle < width / NARROW).sum(axis=1) - (angle < width).sum(axis=1) / NARROW
     found = []
-    for number in np.unique(group):
-        here = np.nonzero((group == number) & (light > 0.0))[0]
-        if len(here) < FEWEST:
-            continue
-        chance = light[here] / light[here].sum()
-        fours = rng.choice(here, (FOURS, 4), p=chance)
-        judges = rng.choice(here, JUDGES, p=chance)
-        point, direction = _meeting(x[fours], line[fours])
-        if not len(point):
-            continue
-        # A few judges tell which ones are worth the time of all.
-        for some, kept in ((judges[:FIRST_JUDGES], FOURS // 8), (judges, FOURS)):
-            angle = _passing(point[:, None], direction[:, None], x[some], line[some]).angle
-            close, about = angle < width / NARROW, angle < width
-            better = np.argsort(about.sum(axis=1) / NARROW - close.sum(axis=1), kind="stable")[:kept]
-            point, direction, close, about = point[better], direction[better], close[better], about[better]
-        for _ in range(PLACES):
-            best = int((close.sum(axis=1) - about.sum(axis=1) / NARROW).argmax())
-            found.append(Segment(point[best], point[best] + direction[best]))
-            # The next one by what this one has not.
-            others = ~close[best]
-            close, about = close & others, about & others
+    for best in np.argsort(-score, kind="stable")[:TRIED]:
+        edge = Segment(*edges[best])
+        here = edge.passed_by(x, line).within(edge.length)
+        if score[best] > 0.0 and (fit := fitted(edge, x[here], line[here], light[here], width)):
+            # Where the light is brightest more lines pass by, and few of them may not tell of the rest.
+            along = (fit.second - fit.first) / fit.length
+            first, second = (fit.first + along * ((end - fit.first) @ along) for end in edges[best])
+            segment = replace(fit, first=first, second=second)
+            if segment.length > LEAST * edge.length:
+                found.append(segment)
     return found
-
-
-def _meeting(x: Doubles, line: Doubles) -> tuple[Doubles, Doubles]:
-    """Lines that meet all of four: points [n, 3] and unit directions [n, 3], from fours [m, 4, 3].
-
-    In Plücker's coordinates (direction, moment) lines meet where a product of both is zero: four such equations leave a
-    plane, and that a direction is across its moment two lines of it.
-    """
-    _, _, rows = np.linalg.svd(np.concatenate([np.cross(x, line), line], axis=-1))
-    first, second = rows[:, 4], rows[:, 5]
-
-    def product(one: Doubles, other: Doubles) -> Doubles:
-        found: Doubles = (one[:, :3] * other[:, 3:]).sum(axis=1)
-        return found
-
-    a, b, c = product(first, first), product(first, second) + product(second, first), product(second, second)
-    root = b * b - 4.0 * a * c
-    q = -0.5 * (b + np.copysign(np.sqrt(np.maximum(root, 0.0)), b))
-    found = []
-    with np.errstate(all="ignore"):
-        for step in (q / c, a / q):
-            both = first + step[:, None] * second
-            direction, moment = both[:, :3], both[:, 3:]
-            length = np.linalg.norm(direction, axis=1, keepdims=True)
-            good = (root > 0.0) & (length[:, 0] > TINY * np.linalg.norm(both, axis=1)) & np.isfinite(both).all(axis=1)
-            direction, moment = (direction / length)[good], (moment / length)[good]
-            found.append((np.cross(direction, moment), direction))
-    point, direction = (np.concatenate(part) for part in zip(*found, strict=True))
-    return point, direction
 
 
 def _passing(point: Doubles, direction: Doubles, x: Doubles, line: Doubles) -> Passing:
@@ -147,12 +119,6 @@ def _passing(point: Doubles, direction: Doubles, x: Doubles, line: Doubles) -> P
         -(np.cross(away, direction) * across).sum(axis=-1) / squared,
         -(np.cross(away, line) * across).sum(axis=-1) / squared,
     )
-
-
-def gain(passing: Passing, light: Doubles, width: float) -> float:
-    """Part of the light that passes by closely, less what would if it filled cells."""
-    angle = passing.angle
-    return float(light @ ((angle < width / NARROW) - (angle < width) / NARROW))
 
 
 def fitted(candidate: Segment, x: Doubles, line: Doubles, light: Doubles, width: float) -> Segment | None:

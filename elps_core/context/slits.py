@@ -15,27 +15,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.context.segments import INSIDE, TINY, Segment, candidates, fitted, gain
+from elps_core.context.segments import INSIDE, TINY, Segment, beside
 from elps_core.errors import ContextMismatch
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 
-MOST = 4
+MOST = 6
 """Slits of a scene."""
 SURE = 8.0
 """Photons from which on a region counts in full."""
 BRIGHTER = 8.0
 """Times as bright it is where photons come from that are searched for slits: few others come through any."""
-WORTHWHILE, CERTAIN = 0.02, 0.05
-"""Part of the light of these that has to come through a slit, the light of each region counting alike, and how much
-likelier it has to make them: the mean logarithm, by light. At 3 degrees the gap beside a door has 0.36 to 0.56 and the
-crack of half a centimetre along its hinges 0.06 to 0.16, at 9 degrees the gap 0.17 to 0.28, at 20, where it is as wide
-as cells are, 0.04 to 0.06, and nothing has more than 0.02 where the door stands wide open."""
-RANKING = 4096
-"""Photons that tell which candidates are worth a fit, at least as many as half of that where there are."""
-TRIED = 4
-"""Candidates that a slit is fitted from, each to an end of its own."""
+SEARCHED = 8192
+"""Photons that are searched, at least half as many where there are."""
+CERTAIN = 0.01
+"""How much likelier a slit has to make these photons, the light of each region counting alike: the mean logarithm, by
+light."""
+ALIKE = 0.95
+"""Of the greatest likelihood: the shortest one is taken of those that have so much."""
+WIDER = 4.0
+"""Times its spread within which half of the directions to a slit go: what it shines on beside it is bright, too."""
 BAND = 9.0
 """Times the spread of a slit, beside :data:`INSIDE`: what is as bright around it is not its light."""
 WIDEST = 4.0
@@ -76,7 +76,8 @@ class Slits:
     spread: Floats
     """[M]: half of the light passes by nearer than that."""
     chances: Floats
-    """[2, K, M]: part of a region's light through each, and of its importance; half of all at most."""
+    """[2, K, M]: part of a region's light through each and from close to it, and of its importance; half of all at
+    most."""
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything by name, for a file."""
@@ -106,15 +107,15 @@ class Slits:
 def find(
     photons: Lines,
     importons: Lines,
-    neighbourhoods: NDArray[np.integer[Any]],
     lenders: NDArray[np.integer[Any]],
+    edges: Doubles,
     cell: float,
     seed: int,
 ) -> Slits | None:
     """Slits that some regions are lit through; None where there are none.
 
-    Photons of regions of one of the ``neighbourhoods`` [K] are taken to see the same slits; those of one of the smaller
-    groups ``lenders`` [K], to get as much through them. ``cell`` is the solid angle of a cell of a table.
+    They are looked for beside ``edges`` [n, 2, 3]. Photons of regions of one of the groups ``lenders`` [K] are taken to
+    get as much through them. ``cell`` is the solid angle of a cell of a table.
 
     What comes straight from a lamp tells of no slit, since lamps are small themselves. Through slits it counts as any
     light does: points on a lamp are drawn in vain where all but a strip of it is hidden.
@@ -124,9 +125,9 @@ def find(
         return None
     middle = photons.position.mean(axis=0)
     size = float(np.ptp(photons.position, axis=0).max()) or 1.0
-    some, lit, seen = (_Rays.of(lines, middle, size, len(neighbourhoods)) for lines in (through, photons, importons))
+    some, lit, seen = (_Rays.of(lines, middle, size, len(lenders)) for lines in (through, photons, importons))
     width = float(np.sqrt(cell))
-    found = _search(some, neighbourhoods, width, seed)
+    found = _search(some, (edges - middle) / size, width, seed)
     ends = np.array([[size * slit.first + middle, size * slit.second + middle] for slit in found], np.float32)
     spread = np.array([size * slit.spread for slit in found], np.float32)
     if not found or not _can_be_seen(ends, spread):
@@ -151,7 +152,7 @@ class _Rays:
     @staticmethod
     def of(lines: Lines, middle: Doubles, size: float, regions: int) -> _Rays:
         # Particles come in no order.
-        order = np.lexsort((*lines.direction.T, *lines.position.T, lines.weight))
+        order = np.lexsort((lines.direction[:, 0], lines.position[:, 0], lines.weight))
         region, weight = lines.region[order], lines.weight[order]
         light = weight / np.maximum(np.bincount(region, weight, regions)[region], 1e-300)
         light *= np.minimum(1.0, np.bincount(region, minlength=regions)[region] / SURE)
@@ -161,40 +162,42 @@ class _Rays:
         )
 
 
-def _search(lit: _Rays, neighbourhoods: NDArray[np.integer[Any]], width: float, seed: int) -> list[Segment]:
+def _search(lit: _Rays, edges: Doubles, width: float, seed: int) -> list[Segment]:
     """Slits one after the other, each by the light that those before have not."""
-    x, line, left, step = lit.x, lit.line, lit.light, -(-len(lit.light) // RANKING)
-    few = slice(None, None, step)
+    few = slice(None, None, -(-len(lit.light) // SEARCHED))
+    x, line, left = lit.x[few], lit.line[few], lit.light[few] / lit.light[few].sum()
     found: list[Segment] = []
     while len(found) < MOST:
-        rng = np.random.default_rng([seed, len(found)])
-        pool = candidates(x, line, left, neighbourhoods[lit.region], width, rng)
-        gains = np.array([step * gain(candidate.passed_by(x[few], line[few]), left[few], width) for candidate in pool])
-        promising = [pool[best] for best in np.argsort(-gains)[:TRIED] if gains[best] >= WORTHWHILE]
-        fits = [fit for candidate in promising if (fit := fitted(candidate, x, line, left, width))]
-        slit = max(fits, key=lambda fit: fit.likelihood, default=None)
-        if slit is None or slit.likelihood < CERTAIN or gain(slit.passed_by(x, line), left, width) < WORTHWHILE:
+        fits = beside(edges, x, line, left, width, np.random.default_rng([seed, len(found)]))
+        best = max((fit.likelihood for fit in fits), default=0.0)
+        if best < CERTAIN:
             break
+        # Edges of the same gap.
+        slit = min((fit for fit in fits if fit.likelihood >= ALIKE * best), key=lambda fit: fit.length)
         found.append(slit)
-        left = np.where(slit.passed_by(x, line).miss < INSIDE * slit.spread, 0.0, left)
+        passing = slit.passed_by(x, line)
+        left = np.where(passing.within(slit.length) & (passing.miss < INSIDE * WIDER * slit.spread), 0.0, left)
     return found
 
 
 def _part(slit: Segment, rays: _Rays, groups: NDArray[np.integer[Any]], width: float) -> Doubles:
-    """Of what each of the ``groups`` gets, what comes through a slit; nothing where that fills much of a cell."""
+    """Of what each of the ``groups`` gets, what comes through a slit, and again with what comes from beside it."""
     passing, group, count = slit.passed_by(rays.x, rays.line), groups[rays.region], int(groups.max()) + 1
     there = (passing.far > TINY) & (passing.along > 0.0) & (passing.along < slit.length)
-    inside = there & (passing.miss < INSIDE * slit.spread)
-    around = there & ~inside & (passing.miss < BAND * slit.spread)
 
     def each(values: Doubles | NDArray[np.bool_]) -> Doubles:
         return np.bincount(group, rays.light * values, count).astype(np.float64)
 
-    # What else comes straight from a lamp is not to be found by directions.
-    through, total = each(inside - INSIDE / (BAND - INSIDE) * around) / HELD, each(inside | ~rays.straight)
-    far = each(inside * passing.far) / np.maximum(each(inside), 1e-300)
-    part = np.clip(through / np.maximum(total, 1e-300), 0.0, 1.0)
-    return np.where(WIDEST * slit.spread < width * far, part, 0.0)
+    both = np.zeros(count)
+    for spread in (slit.spread, WIDER * slit.spread):
+        inside = there & (passing.miss < INSIDE * spread)
+        around = there & ~inside & (passing.miss < BAND * spread)
+        # What else comes straight from a lamp is not to be found by directions.
+        through, total = each(inside - INSIDE / (BAND - INSIDE) * around) / HELD, each(inside | ~rays.straight)
+        far = each(inside * passing.far) / np.maximum(each(inside), 1e-300)
+        part = np.clip(through / np.maximum(total, 1e-300), 0.0, 1.0)
+        both += np.where(WIDEST * spread < width * far, part, 0.0)  # A table knows of what fills much of a cell.
+    return both
 
 
 def _can_be_seen(ends: Floats, spread: Floats) -> bool:

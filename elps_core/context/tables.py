@@ -53,8 +53,8 @@ from elps_core.settings import USUAL_PATHS, ContextSettings
 
 CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
 """Steps of a build for the clustering, and its own steps in each: 12 are enough for it."""
-REGIONS_PER_GROUP, REGIONS_PER_AIM, REGIONS_PER_SLIT = 16, 8, 128
-"""Regions that lend each other what they know, that see mirrored lamps at the same points, and the same slits."""
+REGIONS_PER_GROUP, REGIONS_PER_AIM = 16, 8
+"""Regions that lend each other what they know, and that see mirrored lamps at the same points."""
 SLITS_AT = 3
 """Step of filling whose photons tell of slits: of the door's room, 3 degrees ajar, it has 6000."""
 TRAINING_SHARE = 0.6
@@ -387,10 +387,10 @@ class TableBuilder:
             recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours, of_light)
             photons.close_batch(lit * areas)
         if now and photons and of_light and of_eye:
-            groups, cell = self._neighbours(REGIONS_PER_SLIT), 4.0 * np.pi / (grid[0] * grid[1])
+            cell = 4.0 * np.pi / (grid[0] * grid[1])
             lenders, flux = self._groups(), photons.moments()[1]
             bright = np.bincount(lenders, flux)[lenders] / np.bincount(lenders, areas)[lenders]
-            finding = (finder.lookup, groups, lenders, bright, cell, self.settings.seed)
+            finding = (finder.lookup, lenders, bright, cell, self.settings.seed)
             self._made.slits = slits(self.scene, of_light, of_eye, *finding)
         if not known:
             self._made.colours = np.array(colours, np.float64).reshape(regions, 3)

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from elps_core.arrays import on_device
-from elps_core.context.slits import Slits
+from elps_core.context.slits import WIDER, Slits
 from elps_core.paths.mis import Side
 
 SHARPEST, BLUNTEST = 3e-4, 2.0
@@ -27,7 +27,8 @@ class _Lobe:
     across: mi.Vector2f  # To the slit, in the plane across it, unit length
     low: mi.Float  # Cosines to the ends
     high: mi.Float
-    half: mi.Float  # Hyperbolic tangent of half of the scale
+    narrow: mi.Float  # Hyperbolic tangent of half of the scale
+    wide: mi.Float  # As well, of the wider scale
 
 
 class SlitDirections:
@@ -63,7 +64,9 @@ class SlitDirections:
         left = dr.clip(left, 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
         lobe = self._lobe(origin, number, aimed)
         # Of the angle off the meridian: tangent of its half, sine and cosine.
-        tangent = lobe.half * dr.tan(dr.pi * (left - 0.5))
+        wide = left < 0.5
+        off = dr.select(wide, 2.0 * left, 2.0 * left - 1.0)
+        tangent = dr.select(wide, lobe.wide, lobe.narrow) * dr.tan(dr.pi * (off - 0.5))
         squared = dr.square(tangent)
         sine, cosine = 2.0 * tangent / (1.0 + squared), (1.0 - squared) / (1.0 + squared)
         z = dr.lerp(lobe.low, lobe.high, u.y)
@@ -86,9 +89,7 @@ class SlitDirections:
             cosine = (local.x * lobe.across.x + local.y * lobe.across.y) * scale
             sine = (local.y * lobe.across.x - local.x * lobe.across.y) * scale
             off = dr.select(cosine > 0.0, dr.square(sine) / (1.0 + cosine), 1.0 - cosine)
-            # sinh g / (cosh g - cosine) / 2 pi, with t the tangent of half of g.
-            squared = dr.square(lobe.half)
-            around = 2.0 * lobe.half / (2.0 * squared + (1.0 - squared) * off) * dr.inv_two_pi
+            around = 0.5 * (_around(lobe.narrow, off) + _around(lobe.wide, off))
             within = (local.z >= lobe.low) & (local.z <= lobe.high)
             total = total + dr.select(within, chance * around / (lobe.high - lobe.low), 0.0)
             so_far = so_far + chance
@@ -109,7 +110,15 @@ class SlitDirections:
         distance = dr.sqrt(squared)
         across = dr.select(distance > 0.0, mi.Vector2f(start.x, start.y) / distance, mi.Vector2f(1.0, 0.0))
         low, high = (z * dr.rsqrt(dr.maximum(squared + dr.square(z), TINY)) for z in (start.z, start.z + length))
-        scale = dr.clip(one.w / dr.maximum(distance, TINY), SHARPEST, BLUNTEST)
-        return _Lobe(
-            frame, across, dr.maximum(low - MARGIN, -1.0), dr.minimum(high + MARGIN, 1.0), dr.tanh(0.5 * scale)
-        )
+        scale = one.w / dr.maximum(distance, TINY)
+        narrow, wide = (dr.tanh(0.5 * dr.clip(times * scale, SHARPEST, BLUNTEST)) for times in (1.0, WIDER))
+        return _Lobe(frame, across, dr.maximum(low - MARGIN, -1.0), dr.minimum(high + MARGIN, 1.0), narrow, wide)
+
+
+def _around(half: mi.Float, off: mi.Float) -> mi.Float:
+    """Density per radian at an angle whose cosine is 1 - ``off``: sinh g / (cosh g - cosine) / 2 pi.
+
+    ``half`` is the hyperbolic tangent of half of g.
+    """
+    squared = dr.square(half)
+    return 2.0 * half / (2.0 * squared + (1.0 - squared) * off) * dr.inv_two_pi

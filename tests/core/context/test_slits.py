@@ -1,4 +1,4 @@
-"""Slits: found where lines pass by one another, however it lies, and not where they fill cells or meet by chance."""
+"""Slits: found where lines pass by an edge, however it lies, and not where they fill cells or do so by chance."""
 
 from __future__ import annotations
 
@@ -14,10 +14,17 @@ from elps_core.errors import ContextMismatch
 
 Array = np.ndarray[Any, Any]
 REGIONS, CELL = 256, 4.0 * np.pi / 2048
-NEIGHBOURHOODS, LENDERS = np.arange(REGIONS) // 64, np.arange(REGIONS) // 8
+LENDERS = np.arange(REGIONS) // 8
 GAP = np.array([[0.2, 0.1, 1.5], [0.25, 1.9, 1.6]])
 """Ends of a slit over the floor."""
 WIDTH = 0.006
+OTHER = GAP + np.array([1.2, 0.3, -0.4])
+"""Of another one."""
+EDGES = np.concatenate(
+    [GAP[None] + [[[0.9 * WIDTH, 0.0, 0.0]], [[-WIDTH, 0.0, 0.02]]], OTHER[None] - [[[WIDTH, 0.0, 0.0]]],
+     np.random.default_rng(5).uniform([-2.0, -1.0, 0.0], [2.0, 3.0, 2.0], (40, 2, 3))]
+)  # fmt: skip
+"""Of the scene: beside both gaps, and anywhere."""
 
 
 def photons(part: float, *, width: float = WIDTH, gap: Array = GAP, count: int = 6000, seed: int = 0) -> Lines:
@@ -55,7 +62,7 @@ def distance(points: Array, ends: Array) -> Array:
 
 
 def test_a_slit_is_found_where_it_is() -> None:
-    slits = find(photons(0.4), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(photons(0.4), NONE, LENDERS, EDGES, CELL, 0)
     assert slits is not None
     assert len(slits.spread) == 1
     assert distance(GAP, slits.ends[0]).max() < WIDTH
@@ -72,21 +79,21 @@ def test_a_slit_is_found_where_it_is() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_slits_may_lie_anyhow(seed: int) -> None:
     by, scale, shift = Rotation.random(random_state=seed), 10.0 ** (seed - 1), 3.0 * seed
-    slits = find(turned(photons(0.25, seed=seed), by, scale, shift), NONE, NEIGHBOURHOODS, LENDERS, CELL, seed)
+    edges = scale * by.apply(EDGES.reshape(-1, 3)).reshape(-1, 2, 3) + shift
+    slits = find(turned(photons(0.15, seed=seed), by, scale, shift), NONE, LENDERS, edges, CELL, seed)
     assert slits is not None
     gap = scale * by.apply(GAP) + shift
     assert distance(gap, slits.ends[0]).max() < 2.0 * WIDTH * scale
-    assert 0.22 < np.median(slits.chances[0, 128:]) < 0.25 / HELD + 0.05
+    assert 0.28 < slits.chances[0, 128:].mean() < 2.0 * 0.15 / HELD + 0.05
 
 
 def test_two_slits_are_told_apart() -> None:
-    other = GAP + np.array([1.2, 0.3, -0.4])
-    one, two = photons(0.4), photons(0.4, gap=other, seed=1)
+    one, two = photons(0.4), photons(0.4, gap=OTHER, seed=1)
     both = together(one, two)
-    slits = find(both, one, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(both, one, LENDERS, EDGES, CELL, 0)
     assert slits is not None
     assert len(slits.spread) == 2
-    apart = [min(distance(gap, ends).max() for ends in slits.ends) for gap in (GAP, other)]
+    apart = [min(distance(gap, ends).max() for ends in slits.ends) for gap in (GAP, OTHER)]
     assert max(apart) < 2.0 * WIDTH
     assert np.median(slits.chances[0, 128:], axis=0).min() > 0.17
     assert (slits.chances.sum(axis=-1) < LARGEST_CHANCE + 1e-6).all()
@@ -114,44 +121,63 @@ def test_two_slits_are_told_apart() -> None:
     ],
 )
 def test_what_is_no_slit_is_not_found(lines: Lines) -> None:
-    assert find(lines, lines, NEIGHBOURHOODS, LENDERS, CELL, 0) is None
+    assert find(lines, lines, LENDERS, EDGES, CELL, 0) is None
+
+
+def test_few_photons_tell_of_a_slit_beside_an_edge() -> None:
+    """As many as come through the gap above a door, of 6000: 2 of 100, and of half of the floor."""
+    some = photons(0.02)
+    slits = find(some, NONE, LENDERS, EDGES, CELL, 0)
+    assert slits is not None
+    assert distance(GAP, slits.ends[0]).max() < 4.0 * WIDTH
+    assert find(some, NONE, LENDERS, EDGES[3:], CELL, 0) is None
+    assert find(some, NONE, LENDERS, EDGES[:0], CELL, 0) is None
+
+
+def test_the_shortest_of_edges_that_are_alike_is_taken() -> None:
+    longer = GAP + np.array([[-1.0], [2.0]]) * (GAP[1] - GAP[0]) + [WIDTH, 0.0, 0.0]
+    slits = find(photons(0.4), NONE, LENDERS, np.concatenate([longer[None], EDGES]), CELL, 0)
+    assert slits is not None
+    length = np.linalg.norm(slits.ends[:, 1] - slits.ends[:, 0], axis=1)
+    assert length == pytest.approx([np.linalg.norm(GAP[1] - GAP[0])], rel=0.02)
 
 
 def test_importance_has_chances_of_its_own() -> None:
-    slits = find(photons(0.2), photons(0.3, seed=1), NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(photons(0.1), photons(0.15, seed=1), LENDERS, EDGES, CELL, 0)
     assert slits is not None
-    assert 0.17 < np.median(slits.chances[0, 128:]) < 0.2 / HELD + 0.04
-    assert 0.26 < np.median(slits.chances[1, 128:]) < 0.3 / HELD + 0.05
+    # As much to the slit as comes through it, and again with what is beside it.
+    assert 0.17 < np.median(slits.chances[0, 128:]) < 2.0 * 0.1 / HELD + 0.05
+    assert 0.28 < np.median(slits.chances[1, 128:]) < 2.0 * 0.15 / HELD + 0.05
     assert np.median(slits.chances[:, :128]) < 0.02
-    alone = find(photons(0.2), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    alone = find(photons(0.1), NONE, LENDERS, EDGES, CELL, 0)
     assert alone is not None
     assert (alone.chances[1] == 0.0).all()
 
 
 def test_light_of_a_lamp_counts_where_it_comes_through() -> None:
     """Beside it all that comes straight from a lamp is the business of light sampling."""
-    some = photons(0.2)
+    some = photons(0.1)
     through = photons(1.0, seed=1).those(photons(1.0, seed=1).region >= 128)
     lamps = [replace(lines, straight=np.ones(len(lines.weight), np.bool_)) for lines in (through, photons(0.0, seed=2))]
-    slits = find(together(together(some, lamps[0]), lamps[1]), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(together(together(some, lamps[0]), lamps[1]), NONE, LENDERS, EDGES, CELL, 0)
     assert slits is not None
     assert np.median(slits.chances[0, 128:]) == LARGEST_CHANCE
-    slits = find(together(some, lamps[1]), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(together(some, lamps[1]), NONE, LENDERS, EDGES, CELL, 0)
     assert slits is not None
-    assert 0.17 < np.median(slits.chances[0, 128:]) < 0.2 / HELD + 0.04
+    assert 0.17 < np.median(slits.chances[0, 128:]) < 2.0 * 0.1 / HELD + 0.05
 
 
 def test_what_floats_do_not_hold_is_no_slit() -> None:
     for scale, shift in ((1e16, 0.0), (1e-48, 0.0), (1e-9, 1e3)):
         far = turned(photons(0.4), Rotation.identity(), scale, shift)
-        assert find(far, NONE, NEIGHBOURHOODS, LENDERS, CELL, 0) is None
+        assert find(far, NONE, LENDERS, EDGES, CELL, 0) is None
 
 
 def test_the_order_of_photons_does_not_matter() -> None:
     some = photons(0.3)
     order = np.random.default_rng(1).permutation(len(some.weight))
-    ours = find(some, NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
-    theirs = find(some.those(order), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    ours = find(some, NONE, LENDERS, EDGES, CELL, 0)
+    theirs = find(some.those(order), NONE, LENDERS, EDGES, CELL, 0)
     assert ours is not None
     assert theirs is not None
     assert np.allclose(ours.ends, theirs.ends, atol=1e-5)
@@ -159,7 +185,7 @@ def test_the_order_of_photons_does_not_matter() -> None:
 
 
 def changed(name: str, value: Any) -> dict[str, Array]:
-    slits = find(photons(0.4), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(photons(0.4), NONE, LENDERS, EDGES, CELL, 0)
     assert slits is not None
     return slits.arrays() | {name: value}
 
@@ -194,7 +220,7 @@ def test_what_does_not_fit_is_refused(arrays: dict[str, Array]) -> None:
 
 
 def test_what_fits_is_taken_over() -> None:
-    slits = find(photons(0.4), NONE, NEIGHBOURHOODS, LENDERS, CELL, 0)
+    slits = find(photons(0.4), NONE, LENDERS, EDGES, CELL, 0)
     assert slits is not None
     again = Slits.from_arrays(slits.arrays(), REGIONS)
     assert all(getattr(again, name) is value for name, value in vars(slits).items())
