@@ -178,16 +178,17 @@ def main(
             else:
                 path, case = Path(title), Case(lambda _: None, EASY, "bdpt")
                 title = path.parent.name if path.stem == "scene" else path.stem
+            stem = title.replace(" ", "-")
             if way:
-                case, title = replace(case, ways=(*PEERS, *way), pictures=()), f"{title}, fewer ways"
+                ways = (*PEERS, *way)
+                shown = tuple(name for name in case.pictures if name in ways)
+                case, title = replace(case, ways=ways, pictures=shown), f"{title}, fewer ways"
             context = Path(name) / "context.elps"
             every = {**WAYS, CACHED: [*WAYS["auto"], "--context", str(context)]}
             if CACHED in case.ways:
                 render(path, Path(name) / "first.exr", SIZE, case.factor * seconds, 0, *every[CACHED])
-            stem = title.replace(" ", "-")
             pictures = {way: REPORT.parent / f"{stem}-{PICTURES[way]}.png" for way in case.pictures}
-            ways = {way: every[way] for way in case.ways}
-            duel = Duel(title, path, ways, WAYS[case.reference], SIZE, pictures)
+            duel = Duel(title, path, {way: every[way] for way in case.ways}, WAYS[case.reference], SIZE, pictures)
             lines = equal_time(duel, case.factor * seconds, case.factor * reference_seconds, runs)
         print("\n".join(lines), flush=True)
         _enter(lines)
