@@ -75,7 +75,6 @@ def _enter(particles: Particles, finder: GuidedDirections, table: DirectionalAcc
     """Add particles of a depth of ``first`` or more."""
     if not len(particles):
         return
-    side = dr.mulsign(mi.Vector3f(particles.normal), dr.dot(particles.normal, particles.direction))
-    region = finder.lookup(particles.position, side)
+    region, _ = finder.lookup.back(particles)
     table.add(region, particles.direction, particles.weight, particles.depth >= first)
     dr.eval(table.state)
