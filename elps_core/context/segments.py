@@ -102,7 +102,7 @@ def beside(
         here = edge.passed_by(x, line).within(edge.length)
         if score[best] > 0.0 and (fit := fitted(edge, x[here], line[here], light[here], width)):
             # Where the light is brightest more lines pass by, and few of them may not tell of the rest.
-            along = (fit.second - fit.first) / fit.length
+            along = fit.second - fit.first
             first, second = (fit.first + along * ((end - fit.first) @ along) for end in edges[best])
             segment = replace(fit, first=first, second=second)
             if segment.length > LEAST * edge.length:
@@ -122,7 +122,7 @@ def _passing(point: Doubles, direction: Doubles, x: Doubles, line: Doubles) -> P
 
 
 def fitted(candidate: Segment, x: Doubles, line: Doubles, light: Doubles, width: float) -> Segment | None:
-    """The segment near a candidate that lines pass by most closely; None where that is by chance.
+    """The line near a candidate that lines pass by most closely, a unit of it; None where that is by chance.
 
     Distances are taken to be Cauchy's beside others that are spread evenly; least squares with weights by the former.
     """
@@ -156,14 +156,9 @@ def fitted(candidate: Segment, x: Doubles, line: Doubles, light: Doubles, width:
         point, direction = ends[:3], ends[3:] - ends[:3]
         direction = direction / max(float(np.linalg.norm(direction)), TINY)
     passing = _passing(point, direction, x, line)
-    surely = (passing.miss < INSIDE * spread) & (passing.angle < width)
-    if surely.sum() < FEWEST:
+    if ((passing.miss < INSIDE * spread) & (passing.angle < width)).sum() < FEWEST:
         return None
-    low, high = _middle(passing.along[surely], light[surely])
-    if not high > low:
-        return None
-    beyond = 0.5 * (1.0 - MIDDLE) / MIDDLE * (high - low)
-    return Segment(point + (low - beyond) * direction, point + (high + beyond) * direction, spread, likelihood)
+    return Segment(point, point + direction, spread, likelihood)
 
 
 def _spread(miss: Doubles, reach: Doubles, light: Doubles, spread: float) -> tuple[float, float]:

@@ -31,11 +31,12 @@ SEARCHED = 8192
 """Photons that are searched, at least half as many where there are."""
 CERTAIN = 0.01
 """How much likelier a slit has to make these photons, the light of each region counting alike: the mean logarithm, by
-light."""
+light. Of the gaps around a door that is ajar by 3 degrees each has 0.014 to 0.6; where it stands open by 60, nothing
+has more than 0.007."""
 ALIKE = 0.95
 """Of the greatest likelihood: the shortest one is taken of those that have so much."""
 WIDER = 4.0
-"""Times its spread within which half of the directions to a slit go: what it shines on beside it is bright, too."""
+"""Times its spread that the lobe has in which half of the directions to a slit lie: its frame is bright, too."""
 BAND = 9.0
 """Times the spread of a slit, beside :data:`INSIDE`: what is as bright around it is not its light."""
 WIDEST = 4.0
@@ -165,7 +166,8 @@ class _Rays:
 def _search(lit: _Rays, edges: Doubles, width: float, seed: int) -> list[Segment]:
     """Slits one after the other, each by the light that those before have not."""
     few = slice(None, None, -(-len(lit.light) // SEARCHED))
-    x, line, left = lit.x[few], lit.line[few], lit.light[few] / lit.light[few].sum()
+    x, line, left = lit.x[few], lit.line[few], lit.light[few]
+    left = left / max(float(left.sum()), 1e-300)
     found: list[Segment] = []
     while len(found) < MOST:
         fits = beside(edges, x, line, left, width, np.random.default_rng([seed, len(found)]))

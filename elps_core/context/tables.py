@@ -56,7 +56,7 @@ CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
 REGIONS_PER_GROUP, REGIONS_PER_AIM = 16, 8
 """Regions that lend each other what they know, and that see mirrored lamps at the same points."""
 SLITS_AT = 3
-"""Step of filling whose photons tell of slits: of the door's room, 3 degrees ajar, it has 6000."""
+"""Step of filling whose photons tell of slits: of the door's room, 3 degrees ajar, it has 3300 that may."""
 TRAINING_SHARE = 0.6
 """Chance of a direction from the tables so far: less than in renders, since they are to change."""
 RECORDS = 1 << 21
