@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
+from elps_core.context.lookup import RegionLookup
 from elps_core.paths.stream import Stream
-from elps_core.sampling.direction import GuidedDirections
 
 CROSSINGS = 256
 """Surfaces that a line is followed through."""
@@ -17,7 +17,7 @@ CROSSINGS = 256
 
 def region_areas(
     scene: mi.Scene,
-    regions: GuidedDirections,
+    regions: RegionLookup,
     count: int,
     lines: int,
     key: tuple[int, ...],
@@ -47,7 +47,7 @@ def region_areas(
     def body(ray: mi.Ray3f, crossed: mi.UInt32, active: mi.Bool) -> tuple[mi.Ray3f, mi.UInt32, mi.Bool]:
         si = scene.ray_intersect(ray, active)
         active = active & si.is_valid()
-        region, counted = regions.region(si, si.wi, active), active
+        region, counted = regions.at(si, si.wi, active), active
         if normals is not None:
             side = dr.mulsign(mi.Vector3f(si.sh_frame.n), mi.Frame3f.cos_theta(si.wi))
             counted = active & (dr.dot(dr.gather(mi.Vector3f, normals, region, active), side) > 0.0)

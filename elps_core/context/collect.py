@@ -7,6 +7,7 @@ import mitsuba as mi
 
 from elps_core.context.directional import DirectionalAccumulator
 from elps_core.context.gather import sampler
+from elps_core.context.lookup import RegionLookup
 from elps_core.context.pilot_image import PilotImage
 from elps_core.context.saved import TableState
 from elps_core.integrators.bdpt import Bdpt
@@ -16,7 +17,6 @@ from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
 from elps_core.sampling.context import PixelWorth
-from elps_core.sampling.direction import GuidedDirections
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
@@ -31,7 +31,7 @@ def collect(
     camera: Camera,
     settings: ContextSettings,
     lights: StartDensity,
-    finder: GuidedDirections,
+    finder: RegionLookup,
     made: TableState,
     paths: int,
     key: tuple[int, ...],
@@ -71,10 +71,10 @@ def _trace(pilot: PilotImage, plain: Bdpt, key: tuple[int, ...]) -> None:
     pilot.enter(place, luminance(mi.UnpolarizedSpectrum(radiance), wavelengths))
 
 
-def _enter(particles: Particles, finder: GuidedDirections, table: DirectionalAccumulator, first: int) -> None:
+def _enter(particles: Particles, finder: RegionLookup, table: DirectionalAccumulator, first: int) -> None:
     """Add particles of a depth of ``first`` or more."""
     if not len(particles):
         return
-    region, _ = finder.lookup.back(particles)
+    region, _ = finder.back(particles)
     table.add(region, particles.direction, particles.weight, particles.depth >= first)
     dr.eval(table.state)

@@ -133,6 +133,10 @@ class RegionLookup:
         pair = dr.gather(mi.UInt32, self._pairs, cell >> 1, active)
         return pair >> ((cell & 1) << 4) & 0xFFFF
 
+    def at(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:
+        """Region of a surface point, by the side of the surface that ``wi`` (local) is on."""
+        return self(si.p, dr.mulsign(mi.Vector3f(si.sh_frame.n), mi.Frame3f.cos_theta(wi)), active)
+
     def back(self, particles: Particles) -> tuple[mi.UInt32, mi.Ray3f]:
         """Region of each particle, and the ray back to where it came from."""
         side = mi.Vector3f(particles.normal) * dr.sign(dr.dot(particles.normal, particles.direction))

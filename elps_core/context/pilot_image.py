@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.regions import Regions
-from elps_core.sampling.direction import GuidedDirections
 from elps_core.scene.sensors import Camera
 
 Doubles = NDArray[np.float64]
@@ -101,8 +100,8 @@ def regions_in_view(scene: mi.Scene, camera: Camera, regions: Regions, shape: tu
     middle = mi.Point2f((mi.Float(pixel - row * width) + 0.5) / width, (mi.Float(row) + 0.5) / height)
     ray = camera.sample_ray(middle * mi.Point2f(camera.size), mi.Float(0.5), mi.Point2f(0.5)).ray
     si = scene.ray_intersect(ray)
-    finder = GuidedDirections(RegionLookup(regions), None, None)
-    seen = dr.select(si.is_valid(), finder.region(si, si.wi, si.is_valid()), int(NO_REGION))
+    finder = RegionLookup(regions)
+    seen = dr.select(si.is_valid(), finder.at(si, si.wi, si.is_valid()), int(NO_REGION))
     return np.array(seen).astype(np.uint16).reshape(height, width)
 
 

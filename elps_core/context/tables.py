@@ -42,6 +42,7 @@ from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.frame import LANES
 from elps_core.paths import strategies
 from elps_core.paths.roulette import RouletteRule
+from elps_core.paths.scattering import Materials
 from elps_core.paths.stream import Stream
 from elps_core.sampling.aims import AimedDirections
 from elps_core.sampling.context import PixelWorth, towards
@@ -86,6 +87,7 @@ class TableBuilder:
     def __init__(self, scene: mi.Scene, camera: Camera, settings: ContextSettings) -> None:
         self.scene, self.camera, self.settings = scene, camera, settings
         self._paths = settings.paths or USUAL_PATHS
+        self._materials = Materials(scene)
         self._made = TableState(PilotImage(camera.size))
         self._parents: NDArray[np.uint32] | None = None
 
@@ -281,7 +283,7 @@ class TableBuilder:
         """One more step of paths, guided by what the ones before have found."""
         regions = self.regions
         count, grid = regions.count, (self.settings.rows, self.settings.columns)
-        finder = GuidedDirections(RegionLookup(regions), None, None)
+        finder = RegionLookup(regions)
         key = (self.settings.seed, STREAM, FILLING, number)
         if self._made.areas is None:
             key_areas = (self.settings.seed, STREAM, AREAS)
@@ -295,7 +297,7 @@ class TableBuilder:
             self._made.sources.setdefault(name, DirectionalAccumulator(count, *grid))
         paths = self.filling[number]
         if walks and not known and number == 0:
-            places = Places(finder.lookup, self._made.areas, self._neighbours(REGIONS_PER_AIM), grid)
+            places = Places(finder, self._made.areas, self._neighbours(REGIONS_PER_AIM), grid)
             found = mirrored(self.scene, places, caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES))
             if found:
                 self._made.aims, self._made.sources[CAUSTICS] = found
@@ -308,7 +310,7 @@ class TableBuilder:
     def _walk(
         self,
         lights: StartDensity,
-        finder: GuidedDirections,
+        finder: RegionLookup,
         areas: Doubles,
         paths: int,
         number: int,
@@ -317,10 +319,11 @@ class TableBuilder:
         if self._made.known:
             self._made.known = with_pieces(self._made.known, lights)
         pilot, size, known = self._made.pilot, self.camera.size, self._made.known
-        importance, directions, worth = self._made.sources["importance"], finder, None
+        importance, worth = self._made.sources["importance"], None
+        directions = GuidedDirections(self._materials, finder, None, None)
         if number or known:
             tables = known.radiance if known else self._finished("radiance", "photons")
-            radiance = DirectionalField(finder.lookup, tables)
+            radiance = DirectionalField(finder, tables)
             places = known or self._made
             aims = AimedDirections(places.aims, tables.irradiance) if places.aims else None
             around = towards(aims, places.slits, "eye")
@@ -328,14 +331,15 @@ class TableBuilder:
             light = None
             if number > 1 and not known:
                 through = towards(None, self._made.slits, "light")
-                light = Guide(DirectionalField(finder.lookup, self._finished("importance")), TRAINING_SHARE, through)
+                light = Guide(DirectionalField(finder, self._finished("importance")), TRAINING_SHARE, through)
             # The kernel of the steps that follow, with roulette by albedo.
             enough = NEVER if number < BY_ALBEDO else ENOUGH
-            directions = GuidedDirections(finder.lookup, Guide(radiance, TRAINING_SHARE, around), light, enough=enough)
+            guide = Guide(radiance, TRAINING_SHARE, around)
+            directions = GuidedDirections(self._materials, finder, guide, light, enough=enough)
         if number:
             worth = PixelWorth(pilot.image(), TRAINING_NOISE, size)
         else:  # What importance is worth is not known before there is a pilot.
-            importance = DirectionalAccumulator(finder.lookup.count, self.settings.rows, self.settings.columns)
+            importance = DirectionalAccumulator(finder.count, self.settings.rows, self.settings.columns)
         bdpt = Bdpt(
             self.scene,
             self.camera,
@@ -348,15 +352,15 @@ class TableBuilder:
         )
         pilot.begin_step()
         hungry = self._starved
-        recorder, regions = WalkRecorder(bdpt, finder), finder.lookup.count
+        recorder, regions = WalkRecorder(bdpt, finder), finder.count
         grid = (self.settings.rows, self.settings.columns)
         direct = on_device(mi.Float, self._made.lights)
         if not dr.width(direct):
-            direct = dr.zeros(mi.Float, max(1, finder.lookup.count * pieces(lights)))
+            direct = dr.zeros(mi.Float, max(1, finder.count * pieces(lights)))
         if pieces(lights):
             self._made.sources.setdefault(DEPARTURES, DirectionalAccumulator(pieces(lights), *grid))
         leaving = self._made.sources.get(DEPARTURES)
-        seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.lookup.count, *grid)
+        seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.count, *grid)
         photons = self._made.sources.get("photons")
         # From the first step of each kernel on, so that there is one only.
         now = number == SLITS_AT and not known
@@ -390,14 +394,14 @@ class TableBuilder:
             cell = 4.0 * np.pi / (grid[0] * grid[1])
             lenders, flux = self._groups(), photons.moments()[1]
             bright = np.bincount(lenders, flux)[lenders] / np.bincount(lenders, areas)[lenders]
-            finding = (finder.lookup, lenders, bright, cell, self.settings.seed)
+            finding = (finder, lenders, bright, cell, self.settings.seed)
             self._made.slits = slits(self.scene, of_light, of_eye, *finding)
         if not known:
             self._made.colours = np.array(colours, np.float64).reshape(regions, 3)
         if trial:
             self._made.chances = np.array(trial.sums, np.float64).reshape(regions, -1)
         if pieces(lights) and not known:
-            self._made.lights = np.array(direct, np.float64).reshape(finder.lookup.count, -1)
+            self._made.lights = np.array(direct, np.float64).reshape(finder.count, -1)
 
 
 def _normalised(sums: Doubles) -> Doubles:

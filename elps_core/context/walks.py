@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 
 from elps_core.context.directional import DirectionalAccumulator
+from elps_core.context.lookup import RegionLookup
 from elps_core.context.shares import ShareTrial
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.particles.records import IMPORTON, PHOTON, ParticleBuffer
@@ -25,7 +26,6 @@ from elps_core.paths.turns import Turns
 from elps_core.paths.vertex import Vertex
 from elps_core.paths.walk import Walk, random_walk
 from elps_core.sampling import lights as region_lights
-from elps_core.sampling.direction import GuidedDirections
 from elps_core.sampling.lights import NOWHERE
 from elps_core.scene.spectrum import luminance, sample_wavelengths, white
 
@@ -78,7 +78,7 @@ class WalkRecorder:
     part of what a direction is worth. ``regions`` tells where a vertex is, whatever guides the paths.
     """
 
-    def __init__(self, bdpt: Bdpt, regions: GuidedDirections) -> None:
+    def __init__(self, bdpt: Bdpt, regions: RegionLookup) -> None:
         self.bdpt = bdpt
         self._regions = regions
 
@@ -122,7 +122,7 @@ class WalkRecorder:
             direct = smooth & (vertex.depth < bdpt.max_depth)
             chosen_by = bdpt.connector.light_region(vertex.si, direct)
             lit, start = bdpt.connector.connect_light(vertex, chosen_by, walk.stream, direct)
-            region = self._regions.region(vertex.si, vertex.si.wi, smooth)
+            region = self._regions.at(vertex.si, vertex.si.wi, smooth)
             brought = _bright(vertex.beta, wavelengths)
             worth = brought * (walk.worth / gain)
             later = smooth & (vertex.depth > 1)
@@ -149,7 +149,7 @@ class WalkRecorder:
             # Where the walk ends it has found nothing: that is a record, too.
             keep = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
             goes_on = keep & walk.active & ~event.delta
-            region = self._regions.region(vertex.si, vertex.si.wi, keep)
+            region = self._regions.at(vertex.si, vertex.si.wi, keep)
             # What the walk finds from here on, over its throughput, is the radiance that comes from there. That it has
             # survived roulette is part of what it finds.
             carried = _bright(vertex.beta * event.weight, vertex.si.wavelengths)
@@ -235,7 +235,7 @@ class WalkRecorder:
 
         def visit(walk: Walk, vertex: Vertex, light: _Light, active: mi.Bool) -> _Light:
             smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
-            region = self._regions.region(vertex.si, vertex.si.wi, smooth)
+            region = self._regions.at(vertex.si, vertex.si.wi, smooth)
             # In units of white, as the radiance is that eye paths find over their throughput.
             weight = luminance(mi.UnpolarizedSpectrum(vertex.beta) * light.scale, walk.ray.wavelengths) / white()
             # Light that comes straight from a lamp is the business of light sampling.

@@ -18,13 +18,14 @@ import mitsuba as mi
 from elps_core.paths.connect import Connector
 from elps_core.paths.mis import Heuristic, Partial
 from elps_core.paths.roulette import RouletteRule
+from elps_core.paths.scattering import Materials
 from elps_core.paths.strategies import Strategies
 from elps_core.paths.strategies import bdpt as all_strategies
 from elps_core.paths.stream import Stream
 from elps_core.paths.turns import Turns
 from elps_core.paths.vertex import Vertex, VertexStore
 from elps_core.paths.walk import Walk, random_walk
-from elps_core.sampling.direction import SCATTERING, Directions
+from elps_core.sampling.direction import Directions
 from elps_core.sampling.lights import NOWHERE, RegionLights
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, PrimaryRay, SensorSample
@@ -121,9 +122,9 @@ class Bdpt:
         *,
         max_depth: int,
         roulette: RouletteRule,
+        directions: Directions | None = None,
         strategies: Strategies | None = None,
         heuristic: HeuristicKind = "power",
-        directions: Directions = SCATTERING,
         worth: Worth | None = None,
         thinning: int = 1,
         region_lights: RegionLights | None = None,
@@ -136,7 +137,7 @@ class Bdpt:
         self.roulette = roulette
         self.strategies = strategies or all_strategies(aperture=camera.has_aperture)
         self.heuristic = Heuristic(heuristic, max_depth + 1, self.strategies.joins)
-        self.directions = directions
+        self.directions = directions or Directions(Materials(scene))
         self.worth = worth
         self.thinning = thinning
         # Data, not code: 4 and 16 eye paths for a light path are one kernel.

@@ -13,10 +13,11 @@ from elps_core.integrators.chains import alike
 from elps_core.integrators.frame import Frame, FrameRenderer
 from elps_core.integrators.pssmlt import MetropolisFrames
 from elps_core.paths.roulette import RouletteRule
+from elps_core.paths.scattering import Materials
 from elps_core.paths.strategies import Strategies, chosen
 from elps_core.sampling.context import PixelWorth, guided
 from elps_core.sampling.departures import Departures
-from elps_core.sampling.direction import SCATTERING, Directions
+from elps_core.sampling.direction import Directions
 from elps_core.sampling.lights import RegionLights
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
@@ -80,24 +81,27 @@ def paths_of(
         roulette=RouletteRule(settings.roulette, settings.rr_depth, pays),
         strategies=strategies,
         heuristic=settings.heuristic,
-        directions=_directions(settings, strategies, parts),
+        directions=_directions(Materials(scene), settings, strategies, parts),
         thinning=settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1,
         region_lights=region_lights,
         worth=PixelWorth(known.pilot, known.noise, camera.size, pays=pays) if known else None,
     )
 
 
-def _directions(settings: RenderSettings, strategies: Strategies, parts: DirectionalParts | None) -> Directions:
+def _directions(
+    materials: Materials, settings: RenderSettings, strategies: Strategies, parts: DirectionalParts | None
+) -> Directions:
     if parts is None:
-        return SCATTERING
+        return Directions(materials)
     guided_light = settings.integrator == "light" or settings.bdpt.guided_light
     if not settings.guided:
-        return guided(parts, eye=None, light=None)
+        return guided(materials, parts, eye=None, light=None)
     share: float | NDArray[np.float32] = settings.table_share or USUAL_SHARE
     if settings.direction_sampling != "context":
         share = 0.0
     learned = parts.shares if settings.table_share is None and share else None
     return guided(
+        materials,
         parts,
         eye=(share if learned is None else learned) if strategies.eye_paths else None,
         light=share if guided_light and strategies.light_paths else None,

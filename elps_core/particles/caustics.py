@@ -15,7 +15,7 @@ import numpy as np
 
 from elps_core.arrays import on_device
 from elps_core.particles.records import PHOTON, ParticleBuffer, Particles
-from elps_core.paths.scattering import sample_from_light
+from elps_core.paths.scattering import Materials
 from elps_core.paths.stream import Stream
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.spectrum import luminance, sample_wavelengths, white
@@ -60,7 +60,7 @@ class CausticSampler:
         self.count = len(shapes)
         """Shapes that light paths are aimed at; where there are none, there is nothing to run."""
         self.paths, self._max_depth = paths, max_depth
-        self._scene, self._lights = scene, lights
+        self._scene, self._lights, self._materials = scene, lights, Materials(scene)
         if not shapes:
             return
         self._ids = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes))
@@ -90,7 +90,7 @@ class CausticSampler:
             flux = luminance(mi.UnpolarizedSpectrum(path.flux), path.ray.wavelengths) / white()
             buffer.record(si, flux * path.met * cosine * share, depth, PHOTON, smooth & (depth > 1))
             active = active & ~smooth & (depth < self._max_depth)
-            event = sample_from_light(si, path.stream.next_1d(), path.stream.next_2d(), active)
+            event = self._materials.sample_from_light(si, path.stream.next_1d(), path.stream.next_2d(), active)
             active = active & event.delta
             kept = luminance(mi.UnpolarizedSpectrum(event.weight), path.ray.wavelengths) / white()
             ray = si.spawn_ray(si.to_world(event.wo))

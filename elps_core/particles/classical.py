@@ -105,6 +105,7 @@ class ClassicalSampler:
             max_depth=walks.max_depth,
             roulette=walks.roulette,
             heuristic=walks.heuristic,
+            directions=walks.directions,
             label=f"elps {'photons' if kind == PHOTON else 'importons'}",
         )
         dr.eval(buffer.state)

@@ -18,7 +18,6 @@ from elps_core.particles.subpaths import StepStore, Tracked
 from elps_core.paths.connect import SHADOW
 from elps_core.paths.mis import Ratios, Side
 from elps_core.paths.roulette import RouletteRule
-from elps_core.paths.scattering import seen_by_eye, seen_by_light
 from elps_core.paths.strategies import bdpt as all_strategies
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
@@ -182,6 +181,7 @@ class PathJoiner:
             max_depth=vertices - 1,
             roulette=self._walks.roulette,
             heuristic=self.heuristic,
+            directions=self._walks.directions,
             label=f"elps particles {side} walk",
         )
         return end
@@ -200,7 +200,7 @@ class PathJoiner:
     ) -> Joined:
         """Join the ends; ``emitted`` is what the light walk's first ray carries, ``scale`` what wavelengths weigh."""
         emission, point, others = self.lights.emission, start.point, self.heuristic.others
-        light_si, eye_si = light.vertex.si, eye.vertex.si
+        light_si, eye_si, materials = light.vertex.si, eye.vertex.si, self._walks.directions.materials
         from_lamp, at_film = s == 1, t == 1
         hit = self._hit(s, t, eye)
 
@@ -219,14 +219,14 @@ class PathJoiner:
         ready = ready & (distance2 > 0.0) & ~(from_lamp & at_film) & (s >= 1) & (t >= 1)
 
         # What both ends make of it: scattering, or else emission and importance.
-        at_eye = seen_by_eye(eye_si, eye_si.to_local(direction), ready & ~at_film)
+        at_eye = materials.seen_by_eye(eye_si, eye_si.to_local(direction), ready & ~at_film)
         cos_eye = dr.abs(dr.dot(eye_si.n, direction))
         importance = mi.UnpolarizedSpectrum(sample.pdf * self._worth(sample.position))
         to_light = dr.select(at_film, importance, mi.UnpolarizedSpectrum(at_eye.value))
         pdf_light = dr.select(at_film, sample.pdf, at_eye.pdf)
 
         cos_light = dr.abs(dr.dot(light_si.n, direction))
-        at_light = seen_by_light(light_si, light_si.to_local(-direction), cos_light, ready & ~from_lamp)
+        at_light = materials.seen_by_light(light_si, light_si.to_local(-direction), cos_light, ready & ~from_lamp)
         lamp, lamp_cosine = emission.radiance(point, -direction, ready & from_lamp)
         lamp_pdf = emission.pdf_direction(point.index, point.delta, lamp_cosine, from_lamp, infinite=point.infinite)
         no_surface = point.delta | point.infinite

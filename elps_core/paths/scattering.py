@@ -6,12 +6,18 @@ one BSDF is dispatched together. Directions are local; densities are per solid a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
+from elps_core.arrays import on_device
 from elps_core.paths.mis import Side
+from elps_core.scene.groups import every_shape
 
 STRAIGHT = 1e-8
 """Square of |wi + eta wo| below which a ray passes without being refracted, and tells of no normal."""
@@ -40,118 +46,154 @@ class Scattered:
     by_table: mi.Float | None = None  # Density of the table that takes part in the mixture, where one does
 
 
-def seen_by_eye(si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
-    """Smooth scattering at a vertex of an eye path."""
-
-    def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
-        context = mi.BSDFContext(mi.TransportMode.Radiance)
-        value, pdf = bsdf.eval_pdf(context, si, wo, active)
-        return Scattering(value, pdf, bsdf.pdf(context, _reversed(si, wo), si.wi, active))
-
-    event: Scattering = dr.dispatch(si.bsdf(), ask, si, wo, active)
-    return event
+Answer = TypeVar("Answer")
 
 
-def seen_by_light(si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float, active: mi.Bool) -> Scattering:
-    """Smooth scattering at a vertex of a light path; ``cos_out`` is |wo n|, n the geometric normal.
+class Materials:
+    """What the surfaces of one scene are made of.
 
-    The adjoint BSDF [thesis 2.6.1, alg. 2.1; Veach 1997 5.3.2] is the BSDF as the sensor sees it:
-    evaluated from ``wo``, so with the cosine of the direction to the light and whatever shading frame
-    the material bends to, times the ratio of geometric cosines. All strategies thus estimate one
-    integrand, bump maps and refraction included.
+    Mitsuba keeps one list of all BSDFs in the process: those that lie inside others, and those of other scenes. A call
+    that may go to any of them compiles all; here it may go to those alone that a shape of the scene has.
     """
 
-    def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
-        value, pdf_rev = bsdf.eval_pdf(mi.BSDFContext(mi.TransportMode.Radiance), _reversed(si, wo), si.wi, active)
-        pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
-        return Scattering(value, pdf, pdf_rev)
+    def __init__(self, scene: mi.Scene) -> None:
+        carried = list(dict.fromkeys(shape.bsdf() for shape in every_shape(scene)))
+        self._carried = carried
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(carried)), np.int64) if carried else np.zeros(0)
+        places = np.zeros(int(numbers.max(initial=0)) + 1, np.uint32)
+        places[numbers.astype(np.int64)] = np.arange(len(carried))
+        self._places = on_device(mi.UInt32, places)
 
-    found: Scattering = dr.dispatch(si.bsdf(), ask, si, wo, active)
-    found.value = found.value * (cos_out / _cos_in(si))
-    return found
+    def _asked(self, question: Callable[..., Answer]) -> list[Callable[..., Answer]]:
+        return [partial(question, bsdf) for bsdf in self._carried]
 
+    def _ask(self, question: Callable[..., Answer], si: mi.SurfaceInteraction3f, *rest: Any) -> Answer:
+        """Put ``question`` to the BSDF of each surface point; the last argument tells where there is one to ask."""
+        bsdf = dr.reinterpret_array(mi.UInt32, si.bsdf())
+        active = rest[-1] & (bsdf != 0)
+        place = dr.gather(mi.UInt32, self._places, bsdf, active)
+        answer: Answer = dr.switch(place, self._asked(question), si, *rest[:-1], active)
+        return answer
 
-def sample_from_eye(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool) -> Scattered:
-    """Draw the next direction of an eye path."""
+    def seen_by_eye(self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
+        """Smooth scattering at a vertex of an eye path."""
 
-    def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool) -> Scattered:
-        context = mi.BSDFContext(mi.TransportMode.Radiance)
-        sample, weight = bsdf.sample(context, si, u_lobe, u, active)
-        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        pdf_rev = bsdf.pdf(context, _reversed(si, sample.wo), si.wi, active & ~delta)
-        return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta, weight)
+        def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
+            context = mi.BSDFContext(mi.TransportMode.Radiance)
+            value, pdf = bsdf.eval_pdf(context, si, wo, active)
+            return Scattering(value, pdf, bsdf.pdf(context, _reversed(si, wo), si.wi, active))
 
-    event: Scattered = dr.dispatch(si.bsdf(), ask, si, u_lobe, u, active)
-    return event
+        event: Scattering = self._ask(ask, si, wo, active)
+        return event
 
+    def seen_by_light(
+        self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float, active: mi.Bool
+    ) -> Scattering:
+        """Smooth scattering at a vertex of a light path; ``cos_out`` is |wo n|, n the geometric normal.
 
-def sample_from_light(si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool) -> Scattered:
-    """Draw the next direction of a light path; its weight is that of the adjoint BSDF."""
+        The adjoint BSDF [thesis 2.6.1, alg. 2.1; Veach 1997 5.3.2] is the BSDF as the sensor sees it:
+        evaluated from ``wo``, so with the cosine of the direction to the light and whatever shading frame
+        the material bends to, times the ratio of geometric cosines. All strategies thus estimate one
+        integrand, bump maps and refraction included.
+        """
 
-    def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool) -> Scattered:
-        sample, specular = bsdf.sample(mi.BSDFContext(mi.TransportMode.Importance), si, u_lobe, u, active)
-        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        radiance = mi.BSDFContext(mi.TransportMode.Radiance)
-        value, pdf_rev = bsdf.eval_pdf(radiance, _reversed(si, sample.wo), si.wi, active & ~delta)
-        weight = dr.select(delta, specular * _exchange(si.wi, sample), value / sample.pdf)
-        # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
-        weight = dr.select(dr.max(specular) > 0.0, weight, 0.0)
-        return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta, weight)
+        def ask(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
+            value, pdf_rev = bsdf.eval_pdf(mi.BSDFContext(mi.TransportMode.Radiance), _reversed(si, wo), si.wi, active)
+            pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
+            return Scattering(value, pdf, pdf_rev)
 
-    found: Scattered = dr.dispatch(si.bsdf(), ask, si, u_lobe, u, active)
-    found.weight = found.weight * (dr.abs(dr.dot(si.to_world(found.wo), si.n)) / _cos_in(si))
-    found.albedo = found.weight
-    return found
+        found: Scattering = self._ask(ask, si, wo, active)
+        found.value = found.value * (cos_out / _cos_in(si))
+        return found
 
+    def sample_from_eye(
+        self, si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool
+    ) -> Scattered:
+        """Draw the next direction of an eye path."""
 
-def sample_mixed(
-    si: mi.SurfaceInteraction3f,
-    given: mi.Bool,
-    wo: mi.Vector3f,
-    u_lobe: mi.Float,
-    u: mi.Point2f,
-    side: Side,
-    active: mi.Bool,
-) -> Scattered:
-    """The next direction: ``wo`` where ``given``, else drawn by scattering.
+        def ask(
+            bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool
+        ) -> Scattered:
+            context = mi.BSDFContext(mi.TransportMode.Radiance)
+            sample, weight = bsdf.sample(context, si, u_lobe, u, active)
+            delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+            pdf_rev = bsdf.pdf(context, _reversed(si, sample.wo), si.wi, active & ~delta)
+            return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta, weight)
 
-    Of a smooth event ``weight`` is f |cos| (for light paths the adjoint), not yet divided by whatever
-    density the caller has drawn with, and ``pdf`` that of scattering alone.
-    """
-    mode = mi.TransportMode.Radiance if side == "eye" else mi.TransportMode.Importance
+        event: Scattered = self._ask(ask, si, u_lobe, u, active)
+        return event
 
-    def ask(
-        bsdf: mi.BSDF,
+    def sample_from_light(
+        self, si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool
+    ) -> Scattered:
+        """Draw the next direction of a light path; its weight is that of the adjoint BSDF."""
+
+        def ask(
+            bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, u_lobe: mi.Float, u: mi.Point2f, active: mi.Bool
+        ) -> Scattered:
+            sample, specular = bsdf.sample(mi.BSDFContext(mi.TransportMode.Importance), si, u_lobe, u, active)
+            delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+            radiance = mi.BSDFContext(mi.TransportMode.Radiance)
+            value, pdf_rev = bsdf.eval_pdf(radiance, _reversed(si, sample.wo), si.wi, active & ~delta)
+            weight = dr.select(delta, specular * _exchange(si.wi, sample), value / sample.pdf)
+            # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
+            weight = dr.select(dr.max(specular) > 0.0, weight, 0.0)
+            return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta, weight)
+
+        found: Scattered = self._ask(ask, si, u_lobe, u, active)
+        found.weight = found.weight * (dr.abs(dr.dot(si.to_world(found.wo), si.n)) / _cos_in(si))
+        found.albedo = found.weight
+        return found
+
+    def sample_mixed(
+        self,
         si: mi.SurfaceInteraction3f,
         given: mi.Bool,
         wo: mi.Vector3f,
         u_lobe: mi.Float,
         u: mi.Point2f,
+        side: Side,
         active: mi.Bool,
     ) -> Scattered:
-        context, radiance = mi.BSDFContext(mode), mi.BSDFContext(mi.TransportMode.Radiance)
-        sample, drawn = bsdf.sample(context, si, u_lobe, u, active & ~given)
-        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta) & ~given
-        wo = dr.select(given, wo, sample.wo)
-        smooth = active & ~delta
-        if side == "eye":
-            value, pdf = bsdf.eval_pdf(context, si, wo, smooth)
-            pdf_rev = bsdf.pdf(context, _reversed(si, wo), si.wi, smooth)
-        else:
-            value, pdf_rev = bsdf.eval_pdf(radiance, _reversed(si, wo), si.wi, smooth)
-            pdf = bsdf.pdf(context, si, wo, smooth)
-            drawn = dr.select(delta, drawn * _exchange(si.wi, sample), drawn)
-        weight = dr.select(delta, drawn, value)
-        # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
-        weight = dr.select(given | (dr.max(drawn) > 0.0), weight, 0.0)
-        return Scattered(wo, weight, dr.select(delta, sample.pdf, pdf), pdf_rev, sample.eta, delta, weight)
+        """The next direction: ``wo`` where ``given``, else drawn by scattering.
 
-    event: Scattered = dr.dispatch(si.bsdf(), ask, si, given, wo, u_lobe, u, active)
-    # What a given direction passes through is not told; it matters for roulette by throughput only.
-    event.eta = dr.select(given, 1.0, event.eta)
-    if side == "light":
-        event.weight = event.weight * (dr.abs(dr.dot(si.to_world(event.wo), si.n)) / _cos_in(si))
-    return event
+        Of a smooth event ``weight`` is f |cos| (for light paths the adjoint), not yet divided by whatever
+        density the caller has drawn with, and ``pdf`` that of scattering alone.
+        """
+        mode = mi.TransportMode.Radiance if side == "eye" else mi.TransportMode.Importance
+
+        def ask(
+            bsdf: mi.BSDF,
+            si: mi.SurfaceInteraction3f,
+            given: mi.Bool,
+            wo: mi.Vector3f,
+            u_lobe: mi.Float,
+            u: mi.Point2f,
+            active: mi.Bool,
+        ) -> Scattered:
+            context, radiance = mi.BSDFContext(mode), mi.BSDFContext(mi.TransportMode.Radiance)
+            sample, drawn = bsdf.sample(context, si, u_lobe, u, active & ~given)
+            delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta) & ~given
+            wo = dr.select(given, wo, sample.wo)
+            smooth = active & ~delta
+            if side == "eye":
+                value, pdf = bsdf.eval_pdf(context, si, wo, smooth)
+                pdf_rev = bsdf.pdf(context, _reversed(si, wo), si.wi, smooth)
+            else:
+                value, pdf_rev = bsdf.eval_pdf(radiance, _reversed(si, wo), si.wi, smooth)
+                pdf = bsdf.pdf(context, si, wo, smooth)
+                drawn = dr.select(delta, drawn * _exchange(si.wi, sample), drawn)
+            weight = dr.select(delta, drawn, value)
+            # Rough dielectrics reject a few of their samples, and leave a direction and a tiny density with them.
+            weight = dr.select(given | (dr.max(drawn) > 0.0), weight, 0.0)
+            return Scattered(wo, weight, dr.select(delta, sample.pdf, pdf), pdf_rev, sample.eta, delta, weight)
+
+        event: Scattered = self._ask(ask, si, given, wo, u_lobe, u, active)
+        # What a given direction passes through is not told; it matters for roulette by throughput only.
+        event.eta = dr.select(given, 1.0, event.eta)
+        if side == "light":
+            event.weight = event.weight * (dr.abs(dr.dot(si.to_world(event.wo), si.n)) / _cos_in(si))
+        return event
 
 
 def _exchange(wi: mi.Vector3f, sample: mi.BSDFSample3f) -> mi.Float:

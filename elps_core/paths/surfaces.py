@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import mitsuba as mi
 
+from elps_core.scene.groups import every_shape
+
 FRAME_MAPS = ("NormalMap", "BumpMap")
 """Materials that bend the shading frame, as their descriptions name them."""
 
@@ -12,9 +14,8 @@ class Surfaces:
     """A scene's surfaces. Participating media are left out, as Mitsuba's ``path`` leaves them out."""
 
     def __init__(self, scene: mi.Scene) -> None:
-        shapes = scene.shapes()
         self.scene = scene
-        descriptions = {str(shape.bsdf()) for shape in shapes}
+        descriptions = {str(shape.bsdf()) for shape in every_shape(scene)}
         self.bends_frames = any(name in text for text in descriptions for name in FRAME_MAPS)
         """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
 

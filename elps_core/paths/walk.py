@@ -14,7 +14,7 @@ from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.scattering import Scattered
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
-from elps_core.sampling.direction import SCATTERING, Directions
+from elps_core.sampling.direction import Directions
 
 State = TypeVar("State")
 Visit: TypeAlias = "Callable[[Walk, Vertex, State, mi.Bool], State]"
@@ -71,7 +71,7 @@ def random_walk(
     roulette: RouletteRule,
     heuristic: Heuristic,
     label: str,
-    directions: Directions = SCATTERING,
+    directions: Directions,
     leave: Leave[State] | None = None,
     pay: Pay[State] | None = None,
     renew: Renew[State] | None = None,

@@ -13,6 +13,7 @@ from elps_core.context.lookup import RegionLookup
 from elps_core.context.slits import Slits
 from elps_core.context.store import DirectionalParts
 from elps_core.paths.mis import Side
+from elps_core.paths.scattering import Materials
 from elps_core.sampling.aims import AimedDirections
 from elps_core.sampling.direction import Guide, GuidedDirections, Share, Towards
 from elps_core.sampling.slits import SlitDirections
@@ -28,7 +29,9 @@ DARKEST = 1e-3
 """Least estimate of a pixel relative to the mean: what no pilot sample has found is not nothing."""
 
 
-def guided(parts: DirectionalParts, *, eye: Share | None, light: Share | None) -> GuidedDirections:
+def guided(
+    materials: Materials, parts: DirectionalParts, *, eye: Share | None, light: Share | None
+) -> GuidedDirections:
     """Directions by the tables of ``parts`` with a chance of ``eye`` and ``light``, one or by region [K].
 
     With a chance of 0 tables serve roulette only; without one they are not loaded.
@@ -36,6 +39,7 @@ def guided(parts: DirectionalParts, *, eye: Share | None, light: Share | None) -
     lookup = RegionLookup(parts.regions)
     aims = AimedDirections(parts.aims, parts.radiance.irradiance) if parts.aims and eye is not None else None
     return GuidedDirections(
+        materials,
         lookup,
         None
         if eye is None

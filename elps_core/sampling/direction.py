@@ -19,15 +19,7 @@ from elps_core.arrays import on_device
 from elps_core.context.field import DirectionalField
 from elps_core.context.lookup import RegionLookup
 from elps_core.paths.mis import Side
-from elps_core.paths.scattering import (
-    Scattered,
-    Scattering,
-    sample_from_eye,
-    sample_from_light,
-    sample_mixed,
-    seen_by_eye,
-    seen_by_light,
-)
+from elps_core.paths.scattering import Materials, Scattered, Scattering
 from elps_core.paths.stream import Stream
 from elps_core.scene.spectrum import luminance
 
@@ -59,6 +51,9 @@ class Outlook:
 class Directions:
     """Directions by scattering alone."""
 
+    def __init__(self, materials: Materials) -> None:
+        self.materials = materials
+
     def seen(
         self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, cos_out: mi.Float, side: Side, active: mi.Bool
     ) -> Scattering:
@@ -67,11 +62,13 @@ class Directions:
         ``cos_out`` is |wo n|, n the geometric normal. ``pdf`` is the density with which this path would
         draw ``wo``, ``pdf_rev`` that with which a path from the other side would draw ``si.wi``.
         """
-        return seen_by_eye(si, wo, active) if side == "eye" else seen_by_light(si, wo, cos_out, active)
+        if side == "eye":
+            return self.materials.seen_by_eye(si, wo, active)
+        return self.materials.seen_by_light(si, wo, cos_out, active)
 
     def sample(self, si: mi.SurfaceInteraction3f, stream: Stream, side: Side, active: mi.Bool) -> Scattered:
         """Draw a direction by three numbers of ``stream``."""
-        draw = sample_from_eye if side == "eye" else sample_from_light
+        draw = self.materials.sample_from_eye if side == "eye" else self.materials.sample_from_light
         return draw(si, stream.next_1d(), stream.next_2d(), active)
 
     def expected(
@@ -90,9 +87,6 @@ class Directions:
     def region(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:  # noqa: ARG002
         """Region of a surface point as a path sees it that comes from ``wi`` (local); 0 without regions."""
         return mi.UInt32(0)
-
-
-SCATTERING = Directions()
 
 
 class Towards(Protocol):
@@ -147,6 +141,7 @@ class GuidedDirections(Directions):
 
     def __init__(
         self,
+        materials: Materials,
         lookup: RegionLookup,
         eye: Guide | None,
         light: Guide | None,
@@ -158,6 +153,7 @@ class GuidedDirections(Directions):
 
         ``prospects`` [K, 4] tell what eye paths find, see :class:`elps_core.context.store.DirectionalParts`.
         """
+        super().__init__(materials)
         self.lookup = lookup
         self._prospects = None if prospects is None else on_device(mi.Float, prospects)
         self._enough = dr.opaque(mi.UInt32, enough)
@@ -195,7 +191,7 @@ class GuidedDirections(Directions):
             left = dr.select(by_table, u.x / share, (u.x - share) / (1.0 - share))
             u.x = dr.clip(left, 0.0, mi.Float(dr.one_minus_epsilon(mi.Float)))
             direction = guide.sample(si.p, region, u, by_table)
-            event = sample_mixed(si, by_table, si.to_local(direction), u_lobe, u, side, active)
+            event = self.materials.sample_mixed(si, by_table, si.to_local(direction), u_lobe, u, side, active)
             event.by_table = guide.pdf(si.p, region, si.to_world(event.wo), here & ~event.delta)
             pdf = dr.lerp(event.pdf, event.by_table, share)
             # Roulette asks what the material keeps, not how well the table has chosen.
@@ -241,7 +237,7 @@ class GuidedDirections(Directions):
 
     def region(self, si: mi.SurfaceInteraction3f, wi: mi.Vector3f, active: mi.Bool) -> mi.UInt32:
         """As of :class:`Directions`, by the surface's side that ``wi`` is on."""
-        return self.lookup(si.p, dr.mulsign(mi.Vector3f(si.sh_frame.n), mi.Frame3f.cos_theta(wi)), active)
+        return self.lookup.at(si, wi, active)
 
     def _mixed(
         self,

@@ -23,11 +23,10 @@ def finder(centres: Array, normals: Array) -> Any:
     """One region around each centre, in some order; normals matter more than distances do."""
     from elps_core.context.clustering import build_regions
     from elps_core.context.lookup import RegionLookup
-    from elps_core.sampling.direction import GuidedDirections
 
     regions = build_regions(centres, normals, len(centres), seed=0, alpha=0.1)
     assert regions.count == len(centres)
-    return GuidedDirections(RegionLookup(regions), None, None)
+    return RegionLookup(regions)
 
 
 def strewn(count: int) -> tuple[Array, Array]:
@@ -75,7 +74,7 @@ def test_parts_of_a_sphere(mi: Any) -> None:
     normal = mi.warp.square_to_uniform_sphere(Stream.of(points, 5).next_2d())
     exact, spread = np.zeros(24), np.zeros(24)
     for sign in (-1.0, 1.0):
-        found = directions.lookup(mi.Point3f(1, 2, 3) + 2.0 * normal, sign * normal, dr.full(mi.Bool, True, points))
+        found = directions(mi.Point3f(1, 2, 3) + 2.0 * normal, sign * normal, dr.full(mi.Bool, True, points))
         share = np.bincount(np.array(found), minlength=24) / points
         exact += 16.0 * np.pi * share
         spread += (16.0 * np.pi) ** 2 * share / points
@@ -114,7 +113,7 @@ def test_instances_count_where_they_stand_and_as_large_as_they_are(mi: Any) -> N
     centres = np.repeat(np.array([[0.0, 0, 0], [4, 0, 0], [8, 0, 0]]), 6, axis=0)
     directions = finder(centres, np.tile(sides, (3, 1)))
     areas, error = measured(scene, directions, 18, 2 * LINES)
-    copy = np.array(directions.lookup(mi.Point3f(centres.T), mi.Vector3f(np.tile(sides, (3, 1)).T)))
+    copy = np.array(directions(mi.Point3f(centres.T), mi.Vector3f(np.tile(sides, (3, 1)).T)))
     both_sides = 2.0 * np.pi * np.array([1.0, 2.0, 4.0])
     check(areas[copy].reshape(3, 6).sum(axis=1), both_sides, np.hypot.reduce(error[copy].reshape(3, 6), axis=1))
 

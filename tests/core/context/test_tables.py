@@ -187,6 +187,7 @@ def spread(scene: LoadedScene, parts: DirectionalParts) -> tuple[float, float]:
 
     from elps_core.context.gather import KNOWING, caustics
     from elps_core.context.lookup import RegionLookup
+    from elps_core.paths.scattering import Materials
     from elps_core.sampling.context import guided
     from elps_core.sampling.start import StartDensity, power_table
     from elps_core.scene.emission import Emission
@@ -197,7 +198,7 @@ def spread(scene: LoadedScene, parts: DirectionalParts) -> tuple[float, float]:
     lookup = RegionLookup(parts.regions)
     side = dr.mulsign(mi.Vector3f(photons.normal), dr.dot(photons.normal, photons.direction))
     region = lookup(photons.position, side, mi.Bool(True))
-    guide = guided(parts, eye=0.5, light=None).guides["eye"]
+    guide = guided(Materials(scene.scene), parts, eye=0.5, light=None).guides["eye"]
     pdf = np.array(guide.pdf(photons.position, region, photons.direction, mi.Bool(True)), np.float64)
     weight = np.array(photons.weight, np.float64)
     share = np.bincount(np.array(region)) / len(photons)

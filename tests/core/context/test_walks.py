@@ -68,12 +68,13 @@ def recorder(
     scene: Any, kind: adversaries.Kind | None, max_depth: int, roulette: Any = "none", worth: Any = None
 ) -> Any:
     """A recorder of walks that are guided by a table of that kind, and the number of its regions."""
+    from elps_core.context.lookup import RegionLookup
     from elps_core.context.walks import WalkRecorder
     from elps_core.integrators.bdpt import Bdpt
     from elps_core.paths import strategies
     from elps_core.paths.roulette import RouletteRule
+    from elps_core.paths.scattering import Materials
     from elps_core.sampling.context import guided
-    from elps_core.sampling.direction import SCATTERING
     from elps_core.sampling.start import StartDensity, power_table
     from elps_core.scene.emission import Emission
     from elps_core.scene.sensors import Camera
@@ -87,10 +88,10 @@ def recorder(
         max_depth=max_depth,
         roulette=RouletteRule(roulette, 1),
         strategies=strategies.path(),
-        directions=guided(parts, eye=0.5, light=0.5) if kind else SCATTERING,
+        directions=guided(Materials(scene), parts, eye=0.5, light=0.5) if kind else None,
         worth=worth,
     )
-    return WalkRecorder(bdpt, guided(parts, eye=None, light=None)), parts.regions.count
+    return WalkRecorder(bdpt, RegionLookup(parts.regions)), parts.regions.count
 
 
 def accumulators(count: int, number: int) -> list[Any]:
@@ -189,7 +190,7 @@ def test_photons_give_the_irradiance_of_every_region(mi: Any, kind: adversaries.
     scene = sphere(mi, "point")
     walks, count = recorder(scene, kind, 6)
     points = mi.warp.square_to_uniform_sphere(Stream.of(POINTS, 5).next_2d())
-    areas = 4.0 * np.pi * np.bincount(np.array(walks._regions.lookup(points, -points)), minlength=count) / POINTS
+    areas = 4.0 * np.pi * np.bincount(np.array(walks._regions(points, -points)), minlength=count) / POINTS
     found = []
     for batch in range(BATCHES):
         (photons,) = accumulators(count, 1)

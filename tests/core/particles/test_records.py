@@ -109,7 +109,7 @@ def test_any_walk_can_leave_records(mi: Any) -> None:
     start = bdpt.eye_start(bdpt.primary(stream.next_2d() * mi.Point2f(bdpt.camera.size), stream), stream)
     random_walk(
         scene, start, visit, dr.zeros(mi.Bool, lanes), side="eye", max_depth=depth, roulette=bdpt.roulette,
-        heuristic=bdpt.heuristic, label="test",
+        heuristic=bdpt.heuristic, directions=bdpt.directions, label="test",
     )  # fmt: skip
     dr.eval(buffer.state)
     arrays = buffer.take().arrays()

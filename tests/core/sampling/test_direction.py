@@ -59,9 +59,10 @@ def place(material: str) -> Any:
 
 
 def guided(scene: Any, kind: adversaries.Kind) -> Any:
+    from elps_core.paths.scattering import Materials
     from elps_core.sampling.context import guided
 
-    return guided(adversaries.parts(scene, kind), eye=SHARES["eye"], light=SHARES["light"])
+    return guided(Materials(scene), adversaries.parts(scene, kind), eye=SHARES["eye"], light=SHARES["light"])
 
 
 def draws(directions: Any, si: Any, side: Side) -> Any:
@@ -181,10 +182,11 @@ def test_densities_of_both_sides_are_each_others_reverse(material: str) -> None:
 def test_mirrors_keep_their_weight_over_the_share_of_scattering(material: str, side: Side) -> None:
     import mitsuba as mi
 
-    from elps_core.sampling.direction import SCATTERING
+    from elps_core.paths.scattering import Materials
+    from elps_core.sampling.direction import Directions
 
     scene, si = place(material)
-    plain, _ = draws(SCATTERING, si, side)
+    plain, _ = draws(Directions(Materials(scene)), si, side)
     event, _ = draws(guided(scene, "random"), si, side)
     # Where nothing is scattered nothing is guided.
     share = 0.0 if material == "mirror" else SHARES[side]
@@ -200,15 +202,16 @@ def test_mirrors_keep_their_weight_over_the_share_of_scattering(material: str, s
 @pytest.mark.parametrize("side", SIDES)
 def test_without_a_table_directions_are_those_of_scattering(side: Side) -> None:
     """The other side's table, and a table that serves roulette, move no draw; yet they enter the reverse density."""
+    from elps_core.paths.scattering import Materials
     from elps_core.sampling.context import guided as made
-    from elps_core.sampling.direction import SCATTERING
+    from elps_core.sampling.direction import Directions
 
     scene, si = place("rough metal and paint")
     parts = adversaries.parts(scene, "random")
     for own in (None, 0.0):
         shares = {"eye": own, "light": 0.3} if side == "eye" else {"eye": 0.3, "light": own}
-        event, _ = draws(made(parts, **shares), si, side)
-        plain, _ = draws(SCATTERING, si, side)
+        event, _ = draws(made(Materials(scene), parts, **shares), si, side)
+        plain, _ = draws(Directions(Materials(scene)), si, side)
         some = np.array(plain.pdf) > 0.0
         for ours, theirs in ((event.wo, plain.wo), (event.weight, plain.weight), (event.pdf, plain.pdf)):
             assert np.array_equal(np.array(ours)[..., some], np.array(theirs)[..., some])
@@ -220,8 +223,9 @@ def test_what_a_path_can_expect_is_asked_of_tables_that_know(side: Side) -> None
     """Twice the throughput is worth twice as much; regions with few records know nothing, nor does scattering."""
     import mitsuba as mi
 
+    from elps_core.paths.scattering import Materials
     from elps_core.paths.stream import Stream
-    from elps_core.sampling.direction import SCATTERING
+    from elps_core.sampling.direction import Directions
 
     scene, si = place("diffuse")
     directions = guided(scene, "random")
@@ -241,7 +245,8 @@ def test_what_a_path_can_expect_is_asked_of_tables_that_know(side: Side) -> None
     assert np.allclose(twice.value, 2.0 * np.array(once.value))
     assert np.allclose(twice.light, 2.0 * np.array(once.light))
     assert np.array(once.light).any() == (side == "eye")
-    assert not np.array(SCATTERING.expected(si, event, up, cosine, mi.Spectrum(0.2), side, active).known).any()
+    unguided = Directions(Materials(scene))
+    assert not np.array(unguided.expected(si, event, up, cosine, mi.Spectrum(0.2), side, active).known).any()
     event.delta = mi.Bool(True)
     assert not np.array(directions.expected(si, event, up, cosine, mi.Spectrum(0.2), side, active).known).any()
 
@@ -251,6 +256,7 @@ def test_what_paths_are_paid_is_what_tables_expect_of_all_directions(own: float)
     """Over the density of the draw its mean is scattering times irradiance; less where that is drawn too seldom."""
     import mitsuba as mi
 
+    from elps_core.paths.scattering import Materials
     from elps_core.paths.stream import Stream
     from elps_core.sampling.context import guided as made
     from elps_core.sampling.direction import LIKELIER
@@ -258,7 +264,7 @@ def test_what_paths_are_paid_is_what_tables_expect_of_all_directions(own: float)
     scene, si = place("diffuse")
     # Half of all points and slits lie below the surface.
     parts = replace(adversaries.parts(scene, "random"), aims=None, slits=None)
-    directions = made(parts, eye=own, light=None)
+    directions = made(Materials(scene), parts, eye=own, light=None)
     active, count = mi.Bool(True), 1 << 18
     region = int(np.array(directions.region(si, si.wi, active)).ravel()[0])
     event = directions.sample(si, Stream.of(count, 5), "eye", active)
