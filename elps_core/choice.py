@@ -53,9 +53,9 @@ FORMS = {
     "path": ("path, plain", LIT_PATH, EYE_PATHS),
 }
 """Whose samples chains may walk over, and the candidates that speak for each: a plain one first, enlightened last."""
-SCOUTS = ("path, plain", LIT_PATH, EYE_PATHS, "bdpt, plain", LIT_UNJOINED, WITH_CAUSTICS)
-"""Those that are compared early in training already, so that it can stop where tables will not pay; the last one only
-where the others have not decided that."""
+SCOUTS = (LIT_PATH, EYE_PATHS, "bdpt, plain", WITH_CAUSTICS, LIT_UNJOINED, "path, plain")
+"""Those that are compared early in training already, so that it can stop where tables will not pay; each only where it
+can still be the best, by what those before it have said: to compile and to run one takes a second and more."""
 UNGUIDED = {EYE_PATHS: LIT_PATH, WITH_CAUSTICS: LIT_UNJOINED}
 """What the guided ones of them would be without directions by table."""
 MOST_GAIN = 2.0
@@ -72,9 +72,17 @@ ajar, tables do not know it yet."""
 WHOLE_TRAINING = 0.1
 """Part of a render's time that the rest of training takes, which guided ones have to win back."""
 HOPELESS = 1.5
-"""Times as efficient as a candidate another is, where that candidate is not measured again."""
+"""Times as efficient as a candidate another is, where that candidate is not measured."""
 DECIDED = 1.15
-"""The same, where only unguided candidates are left: scouts tell these apart as well as pilots do."""
+"""The same of a candidate without directions by table that a scout has measured: a pilot would say the same again."""
+TOLD_APART = 1.25
+"""The same where a scout has measured it and one that makes the same eye paths: in nine scenes the ratio of the two
+changed by up to a third until the end of training, and was never turned."""
+OUTRIGHT = 1.25
+"""Times that paths can be better by the power of lamps, and no roulette by context, than lit by context: 1.24 were
+seen, in a Cornell box."""
+LIGHT_COSTS = 1.5
+"""Times that eye paths have to have more variance than joined subpaths, for light paths to be worth their time."""
 JOINS = 1.5
 """Times that tables may do more for joined subpaths than for eye paths."""
 ALIKE = 0.01
@@ -185,29 +193,82 @@ def _joining_may_pay(scouts: Iterable[Pilot]) -> bool:
     return JOINS * gain * known.get("bdpt, plain", 0.0) >= max(known.values(), default=0.0)
 
 
-def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iterable[Pilot] = ()) -> list[str]:
-    """The candidates among which the best is, as far as is known; all without any scouts.
-
-    Where training has stopped, those without directions by table, if several are close. Else the guided ones, but those
-    that join subpaths only where it pays without tables; and after them, once ``pilots`` of these are known, the
-    slowest of them and the others, if they are not hopeless against them.
-    """
+def next_scout(candidates: Iterable[str], scouts: Iterable[Pilot]) -> str | None:
+    """The candidate to compare next, early in training; None where no other can be the best."""
     said = tuple(scouts)
+    names = {pilot.name for pilot in said}
+    return next((n for n in SCOUTS if n in candidates and n not in names and _may_win(n, said)), None)
+
+
+def _may_win(name: str, others: tuple[Pilot, ...]) -> bool:
+    """Whether a candidate can be the best, by what is known of others."""
+    known = {pilot.name: pilot for pilot in _known(others)}
+    best = max((pilot.efficiency for pilot in known.values()), default=0.0)
+    lit, joined = known.get(LIT_PATH), known.get("bdpt, plain")
+    if name in (WITH_CAUSTICS, LIT_UNJOINED) and lit and joined and lit.variance < LIGHT_COSTS * joined.variance:
+        return False
+    if name == WITH_CAUSTICS:
+        return not unguided_wins(others)
+    if name == LIT_UNJOINED and lit and EYE_PATHS in known and WITH_CAUSTICS in known:
+        gain = known[WITH_CAUSTICS].efficiency / known[EYE_PATHS].efficiency
+        return HOPELESS * gain * lit.efficiency >= best
+    if name == "path, plain" and lit:
+        return OUTRIGHT * lit.efficiency >= best
+    if name in JOINED:
+        near = known.get(JOINED[-1])
+        return _joining_may_pay(others) and (near is None or HOPELESS * near.efficiency >= best)
+    return True
+
+
+def worth_measuring(candidates: list[str], scouts: Iterable[Pilot], pilots: Iterable[Pilot] = ()) -> list[str]:
+    """Those that ``pilots`` have measured, and the candidates to measure after them, as far as is known.
+
+    Without scouts all that can be the best. Where training has stopped, those without directions by table, if several
+    are close. Else the guided ones, but those that join subpaths only where it pays without tables; and after them,
+    once pilots of these are known, the slowest of them and the others, if they are not hopeless against them. None if
+    the only guided one was surely better than all others before its tables were finished.
+    """
+    said, measured = tuple(scouts), tuple(pilots)
+    if not said:
+        done = [pilot.name for pilot in measured]
+        order = (*SCOUTS, *reversed(JOINED))
+        return [*done, *(n for n in order if n in candidates and n not in done and _may_win(n, measured))]
     if unguided_wins(said):
         close = _within(DECIDED, tuple(pilot for pilot in _known(said) if not _is_guided(pilot.name)), candidates)
         return close if len(close) > 1 else []
-    joining = not said or _joining_may_pay(said)
-    guided = [name for name in candidates if _is_guided(name) and (joining or name not in JOINED)]
-    others = [name for name in candidates if not _is_guided(name)]
+    guided = [name for name in candidates if _is_guided(name) and _may_win_trained(name, said)]
+    if guided == [EYE_PATHS] and _surely_best(EYE_PATHS, said):
+        return []
+    others = [name for name in candidates if not _is_guided(name) and name in {pilot.name for pilot in said}]
     # By the first guided ones alone, so that the list stays as it is while the others are measured.
     slowest = [name for name in guided if name == SLOWEST]
     first = [name for name in guided if name != SLOWEST]
-    measured = [pilot for pilot in pilots if pilot.name in first]
-    if said and first and len(measured) == len(first):
-        known = _known(together(said, measured))
-        others, near = _within(HOPELESS, known, others), _within(HOPELESS, known, list(JOINED))
+    early = [pilot for pilot in measured if pilot.name in first]
+    if first and len(early) == len(first):
+        known = _known(together(said, early))
+        others, near = _within(DECIDED, known, others), _within(HOPELESS, known, list(JOINED))
         slowest = slowest if near else []
     return [*first, *slowest, *others]
+
+
+def _may_win_trained(name: str, scouts: tuple[Pilot, ...]) -> bool:
+    """Whether a guided candidate can be the best in the end."""
+    if name in JOINED:
+        return _joining_may_pay(scouts)
+    known = {pilot.name: pilot.efficiency for pilot in _known(scouts)}
+    if name not in known or TWINS.get(name) not in known:
+        return name in known or name not in SCOUTS
+    return TOLD_APART * known[name] >= known[TWINS[name]]
+
+
+def _surely_best(name: str, scouts: tuple[Pilot, ...]) -> bool:
+    """Whether a scout was the best, even if it is worse and the others are better by their standard errors."""
+    known = {pilot.name: pilot for pilot in _known(scouts)}
+    if name not in known:
+        return False
+    own = known.pop(name)
+    low = replace(own, variance=own.variance + own.error).efficiency
+    return all(low > replace(p, variance=max(p.variance - p.error, LEAST)).efficiency for p in known.values())
 
 
 def together(scouts: Iterable[Pilot], pilots: Iterable[Pilot]) -> tuple[Pilot, ...]:
@@ -217,6 +278,7 @@ def together(scouts: Iterable[Pilot], pilots: Iterable[Pilot]) -> tuple[Pilot, .
     found. By how much follows from the candidate that both know best. A scout may lower a pilot's variance, because
     tables have only become better since and one rare event must not decide, and may raise it where there are no tables.
     Scouts do not testify to light that pilots have not met: what they said of each other is part of their variance.
+    What tables have won since for some eye paths they have won for all that are alike.
     """
     said, measured = tuple(scouts), tuple(pilots)
     again = {pilot.name: pilot for pilot in measured}
@@ -227,8 +289,19 @@ def together(scouts: Iterable[Pilot], pilots: Iterable[Pilot]) -> tuple[Pilot, .
     scale, level = (after.mean / before.mean) ** 2, (after.mean, after.mean_error)
     early = {p.name: replace(p, variance=scale * p.variance, error=scale * p.error) for p in said}
     known = {p.name: replace(p, variance=scale * p.variance, error=scale * p.error) for p in _known(said)}
-    left = [replace(p, mean=level[0], mean_error=level[1]) for name, p in known.items() if name not in again]
-    return (*(_averaged(pilot, early.get(pilot.name)) for pilot in measured), *left)
+    left = [replace(p, mean=level[0], mean_error=level[1], rival=0.0) for n, p in known.items() if n not in again]
+    return (
+        *(_averaged(pilot, early.get(pilot.name)) for pilot in measured),
+        *(_like_its_twin(pilot, early, again) for pilot in left),
+    )
+
+
+def _like_its_twin(scout: Pilot, early: Mapping[str, Pilot], again: Mapping[str, Pilot]) -> Pilot:
+    """A guided scout with what tables have won since for the one that makes the same eye paths."""
+    twin = TWINS.get(scout.name, "")
+    if not _is_guided(scout.name) or twin not in again or twin not in early:
+        return scout
+    return replace(scout, variance=scout.variance * min(1.0, again[twin].variance / max(early[twin].variance, LEAST)))
 
 
 def _averaged(pilot: Pilot, scout: Pilot | None) -> Pilot:
@@ -328,7 +401,7 @@ def _forms(integrator: str, bdpt: BdptSettings) -> tuple[str, ...]:
 
 def _of(name: str, efficiency: Mapping[str, float]) -> float:
     """Efficiency of a candidate; of what is nearest to it where it was left out, 0 if nothing is."""
-    near = (name, *JOINED, WITH_CAUSTICS) if name in JOINED else (name,)
+    near = (name, *JOINED, WITH_CAUSTICS, EYE_PATHS) if name in JOINED else (name, TWINS.get(name, name))
     return next((efficiency[other] for other in near if other in efficiency), 0.0)
 
 

@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from elps_core.choice import PILOTS, SCOUTS, Pilot, fit_candidates, together, unguided_wins, worth_measuring
+from elps_core.choice import PILOTS, SCOUTS, Pilot, fit_candidates, next_scout, together, unguided_wins, worth_measuring
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
 from elps_core.context.pilots import PilotRunner
@@ -114,9 +114,8 @@ class ContextBuilder:
         """Compare a few candidates by the tables so far; no more steps for these where a plain one will be better."""
         parts = tables.result()
         runner = self._runner(parts, lights)
-        for name in SCOUTS:
-            if name in self._candidates and not (name == SCOUTS[-1] and unguided_wins(self._scouts)):
-                self._scouts.append(runner.run(name, self._scouts, scout=True))
+        while (name := next_scout(self._candidates, self._scouts)) is not None:
+            self._scouts.append(runner.run(name, self._scouts, scout=True))
         if unguided_wins(self._scouts):
             tables.stop()
             self._parts = parts
@@ -190,10 +189,12 @@ class ContextBuilder:
             record = load_tensors(data)
             batches, seconds = record["batches"], float(record["seconds"][0])
             none = np.zeros((0, 7))
-            early = [name for name in SCOUTS if name in self._candidates]
-            scouts = [_pilot(*entry) for entry in zip(early, record.get("scouts", none), strict=False)]
+            scouts: list[Pilot] = []
             pilots: list[Pilot] = []
-            for row in record.get("pilots", none):  # Each may decide which one follows
+            # Each may decide which one follows.
+            for row in record.get("scouts", none):
+                scouts.append(_pilot(str(next_scout(self._candidates, scouts)), row))
+            for row in record.get("pilots", none):
                 pilots.append(_pilot(worth_measuring(self._candidates, scouts, pilots)[len(pilots)], row))
         except (SafetensorError, KeyError, IndexError, TypeError, ValueError):
             raise ContextMismatch(UNFIT) from None

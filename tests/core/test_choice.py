@@ -13,23 +13,29 @@ from elps_core.choice import (
     CLEAR,
     DECIDED,
     ENLIGHTENED,
+    EYE_PATHS,
     HOPELESS,
     JOINED,
     JOINS,
+    LIGHT_COSTS,
     LIT_PATH,
     LIT_UNJOINED,
     MOST_GAIN,
+    OUTRIGHT,
     PILOTS,
     RIVALS_FALL,
     SCOUTS,
     SLOWEST,
     STILL,
+    TOLD_APART,
     WHOLE_TRAINING,
+    WITH_CAUSTICS,
     Choice,
     Pilot,
     candidate,
     choose,
     fit_candidates,
+    next_scout,
     together,
     unguided_wins,
     worth_measuring,
@@ -272,8 +278,8 @@ def test_subpaths_are_joined_by_context_where_it_may_pay() -> None:
     every = list(CANDIDATES)
     assert set(worth_measuring(every, [])) == set(every)
     # What tables do for eye paths, they may do for joined subpaths, and a little more
-    assert set(worth_measuring(every, scouts(pe=9.0, bp=1.01 / JOINS))) == set(every)
-    without = worth_measuring(every, scouts(pe=9.0, bp=0.99 / JOINS))
+    assert set(worth_measuring(every, scouts(pe=9.0, beu=8.0, bp=1.01 / JOINS))) == set(every)
+    without = worth_measuring(every, scouts(pe=9.0, beu=8.0, bp=0.99 / JOINS))
     assert set(without) == set(every) - set(JOINED)
     assert set(worth_measuring(every, scouts(pp=0.9, bp=0.91 / JOINS, beu=0.8))) == set(every)
 
@@ -281,7 +287,7 @@ def test_subpaths_are_joined_by_context_where_it_may_pay() -> None:
 def test_what_tables_have_left_behind_is_not_measured_again() -> None:
     """Guided candidates come first, so that it is known how good they are when the others' turn comes."""
     every = list(CANDIDATES)
-    said = scouts(pe=9.0, bp=9.0, pp=9.0 / HOPELESS)
+    said = scouts(pe=9.0, beu=8.0, bp=9.0, pp=9.0 / DECIDED)
     guided = [name for name in every if is_guided(name)]
     first = [name for name in guided if name != SLOWEST]
     planned = worth_measuring(every, said)
@@ -290,15 +296,88 @@ def test_what_tables_have_left_behind_is_not_measured_again() -> None:
     def measured(**efficiencies: float) -> list[Pilot]:
         return [Pilot(**entry) for entry in statistics(**efficiencies)[PILOTS] if entry["name"] in first]
 
-    near = measured(pe=0.97 * 9.0 * HOPELESS)
+    near = measured(pe=0.97 * 9.0 * DECIDED)
     assert worth_measuring(every, said, near[:-1]) == planned
     assert worth_measuring(every, said, near) == [*first, "bdpt, plain"]
     more = [*near, Pilot(**ENTRY | {"name": "bdpt, plain", "variance": 1.0, "mean": 50.0})]
     assert worth_measuring(every, said, more) == [*first, "bdpt, plain"]
-    assert worth_measuring(every, said, measured(pe=1.03 * 9.0 * HOPELESS)) == first
+    assert worth_measuring(every, said, measured(pe=1.03 * 9.0 * DECIDED)) == first
     # The slowest follows where what is nearest to it is not hopeless.
     assert worth_measuring(every, said, measured(pe=20.0, be4ep=20.1 / HOPELESS)) == [*first, SLOWEST]
     assert worth_measuring(every, said, measured(pe=20.0, be4ep=19.9 / HOPELESS)) == first
+
+
+def of(name: str, efficiency: float, **known: float) -> Pilot:
+    """What was said of a candidate whose samples take the time for that efficiency."""
+    pilot = Pilot(**ENTRY | {"name": name, "variance": 1.0} | known)
+    return replace(pilot, microseconds=1e6 / (efficiency * pilot.variance))
+
+
+def in_turn(known: list[Pilot], candidates: tuple[str, ...] = SCOUTS) -> list[str]:
+    """The scouts that go out where these are what they say."""
+    said: list[Pilot] = []
+    while (name := next_scout(candidates, said)) is not None:
+        said.append(next(pilot for pilot in known if pilot.name == name))
+    return [pilot.name for pilot in said]
+
+
+def test_scouts_go_out_where_they_may_find_the_best() -> None:
+    """Light paths, where joined ones have less variance; the power of lamps, where their regions are near the best."""
+    three = [LIT_PATH, EYE_PATHS, "bdpt, plain"]
+    plain, unjoined, twin = (of(name, 1.0) for name in ("path, plain", LIT_UNJOINED, WITH_CAUSTICS))
+    for lit, last in ((0.99, []), (1.01, ["path, plain"])):
+        eye, joined = of(EYE_PATHS, 8.0), of("bdpt, plain", 1.0, variance=1.01 / LIGHT_COSTS)
+        said = [of(LIT_PATH, 8.0 * lit / OUTRIGHT), eye, joined, plain, unjoined, twin]
+        assert in_turn(said) == [*three, *last]
+        assert in_turn(said, SCOUTS[:3]) == three
+    joined = of("bdpt, plain", 1.0, variance=0.99 / LIGHT_COSTS)
+    # What light paths have done for guided eye paths, they may do for others, and a little more.
+    for gain, last in ((0.49, []), (0.51, [LIT_UNJOINED])):
+        said = [of(LIT_PATH, 4.0), of(EYE_PATHS, 12.0), joined, of(WITH_CAUSTICS, 24.0 * gain), unjoined, plain]
+        near = 4.0 * HOPELESS * gain * 2.0 / max(12.0, 24.0 * gain)
+        assert in_turn(said) == [*three, WITH_CAUSTICS, *(last if near >= 1.0 else [])]
+    # Where training stops anyway, nothing is asked that only tables would make better.
+    ahead = of("bdpt, plain", 30.0, variance=0.1)
+    assert in_turn([of(LIT_PATH, 4.0), of(EYE_PATHS, 8.0), ahead, unjoined, plain]) == [*three, LIT_UNJOINED]
+
+
+def test_one_that_is_surely_the_best_needs_no_pilot() -> None:
+    every = list(CANDIDATES)
+    said = [of(EYE_PATHS, 9.0, error=0.1), of(LIT_PATH, 6.0, error=0.1), of("bdpt, plain", 1.0)]
+    assert worth_measuring(every, said) == []
+    assert choose(AUTO, {PILOTS: [asdict(pilot) for pilot in together(said, [])]}).name == EYE_PATHS
+    unsure = [replace(said[0], error=0.3), replace(said[1], error=0.2), said[2]]
+    assert worth_measuring(every, unsure) == [EYE_PATHS, LIT_PATH, "bdpt, plain"]
+
+
+def test_paths_that_are_alike_are_measured_again_where_they_are_close() -> None:
+    every = list(CANDIDATES)
+    for other, again in ((9.1 / TOLD_APART, True), (8.9 / TOLD_APART, False)):
+        said = [of(EYE_PATHS, 9.0), of(WITH_CAUSTICS, other), of(LIT_PATH, 1.0), of("bdpt, plain", 1.0)]
+        assert (WITH_CAUSTICS in worth_measuring(every, said)) is again
+    told = [replace(said[0]), replace(said[1], rival=1.5), *said[2:]]
+    assert WITH_CAUSTICS in worth_measuring(every, told)
+
+
+def test_what_tables_have_won_they_have_won_for_paths_that_are_alike() -> None:
+    said = [of(EYE_PATHS, 9.0), of(WITH_CAUSTICS, 3.0, rival=5.0), of(LIT_PATH, 1.0)]
+    found = {pilot.name: pilot for pilot in together(said, [replace(said[0], variance=0.25)])}
+    assert found[WITH_CAUSTICS].efficiency == pytest.approx(12.0)
+    assert found[WITH_CAUSTICS].rival == 0.0
+    assert found[LIT_PATH].efficiency == pytest.approx(1.0)
+    worse = {pilot.name: pilot for pilot in together(said, [replace(said[0], variance=4.0)])}
+    assert worse[WITH_CAUSTICS].efficiency == pytest.approx(3.0)
+
+
+def test_pilots_without_scouts_follow_in_turn() -> None:
+    """What none before has made pointless; those that are done stay first, in their order."""
+    every = list(CANDIDATES)
+    assert worth_measuring(every, [])[:3] == [LIT_PATH, EYE_PATHS, "bdpt, plain"]
+    known = [of(LIT_PATH, 1.0), of(EYE_PATHS, 8.0), of("bdpt, plain", 0.2)]
+    for done in range(4):
+        planned = worth_measuring(every, [], known[:done])
+        assert planned[:3] == [pilot.name for pilot in known]
+    assert planned == planned[:3]
 
 
 def is_guided(name: str) -> bool:
@@ -353,6 +432,11 @@ def test_what_was_left_out_is_judged_by_what_is_nearest() -> None:
     found = statistics(bp=2.0, be4ep=3.0)
     found[PILOTS] = [entry for entry in found[PILOTS] if entry["name"] != JOINED[0]]
     assert choose(asked, found).name == "bdpt, enlightened"
+    found = statistics(bp=2.0, pe=3.0)
+    found[PILOTS] = [entry for entry in found[PILOTS] if entry["name"] not in (*JOINED, WITH_CAUSTICS, LIT_UNJOINED)]
+    assert choose(asked, found).name == "bdpt, enlightened"
+    unjoined = with_overrides(asked, {"bdpt.eye_paths": 4, "bdpt.joins": False})
+    assert choose(unjoined, found).name == "bdpt, enlightened"
 
 
 def test_auto_needs_pilots() -> None:
