@@ -109,8 +109,7 @@ class PilotRunner:
     def run(self, name: str, others: Iterable[Pilot] = (), *, scout: bool = False) -> Pilot:
         """Measure the candidate ``name``, by samples of their own and fewer if it is a ``scout``.
 
-        With as many samples as that one of the ``others`` had that makes the same eye paths. All of them have a light
-        path then, and the time of those that will have none is that of the other candidate: one kernel less.
+        With as many samples as that one of the ``others`` had that makes the same eye paths.
         """
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
@@ -125,7 +124,7 @@ class PilotRunner:
         while len(found) < least or (len(found) < most and time.perf_counter() - begin < limit):
             # Of kernels alone: what comes before they run is the same for the many more samples of a chunk.
             with KernelClock() as kernels:
-                found.append(self._block(bdpt, (*key, len(found)), 1 if twin else bdpt.thinning))
+                found.append(self._block(bdpt, (*key, len(found))))
             seconds.append(kernels.running)
             if len(found) == 1:  # Compiled, and perhaps for the first time
                 begin = time.perf_counter()
@@ -140,28 +139,25 @@ class PilotRunner:
         kinds = np.split(parts, [kinds[0].shape[2]], axis=2)
         by_part = np.sqrt(sum(kind.var(axis=2, ddof=1).mean(axis=1) * kind.shape[2] for kind in kinds) / count)
         (variance, mean), (error, mean_error) = both.mean(axis=1), np.maximum(by_block, by_part)
-        microseconds = 1e6 * float(np.median(seconds)) / BLOCK
-        if twin:
-            microseconds = twin.microseconds + max(0.0, microseconds - twin.microseconds) / bdpt.thinning
         return Pilot(
             name=name,
             variance=float(variance),
             error=float(error),
             mean=float(mean),
             mean_error=float(mean_error),
-            microseconds=microseconds,
+            microseconds=1e6 * float(np.median(seconds)) / BLOCK,
             samples=BLOCK * count,
             rival=rival,
         )
 
-    def _block(self, bdpt: Bdpt, key: tuple[int, ...], sharing: int) -> _Block:
-        """What a block's samples say of variance and mean, see :class:`Pilot`; ``sharing`` eye paths have a light path.
+    def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> _Block:
+        """What a block's samples say of variance and mean, see :class:`Pilot`.
 
         Eye paths come in two sets for a pixel: half the square of their difference. Of light paths
         the sum of squares: what all that meet a pixel bring together is far more than one brings.
         """
         thinning = bdpt.thinning
-        lit_pairs, lit = PAIRS // sharing, BLOCK // sharing
+        lit_pairs, lit = PAIRS // thinning, BLOCK // thinning
         splat, squares, sums = self._light_sums()
         pixels = dr.floor(Stream.of(PAIRS, *key, 0).next_2d() * mi.Point2f(self._camera.size))
         by_eye = []
