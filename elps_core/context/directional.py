@@ -291,6 +291,13 @@ def finish(
     )
 
 
+def even_tables(regions: int, rows: int, columns: int) -> DirectionalTables:
+    """Tables of regions of which nothing is known: no direction is preferred."""
+    shares = np.full((regions, rows, columns), 1.0 / (rows * columns), np.float32)
+    none = np.zeros(regions)
+    return DirectionalTables(shares, np.ones((regions, 2), np.float32), none.astype(np.float32), none.astype(np.uint32))
+
+
 def _with_peaks(
     shares: mi.Float,
     irradiance: NDArray[np.float64],

@@ -14,7 +14,7 @@ from elps_core.arrays import on_device
 from elps_core.context.areas import region_areas
 from elps_core.context.clustering import Clustering, groups_of
 from elps_core.context.collect import collect
-from elps_core.context.directional import DirectionalAccumulator, finish
+from elps_core.context.directional import DirectionalAccumulator, even_tables, finish
 from elps_core.context.encoding import DirectionalTables
 from elps_core.context.field import DirectionalField
 from elps_core.context.gaps import slits, thinned
@@ -60,6 +60,8 @@ SLITS_AT = 3
 """Step of filling whose photons tell of slits: of the door's room, 3 degrees ajar, it has 3300 that may."""
 TRAINING_SHARE = 0.6
 """Chance of a direction from the tables so far: less than in renders, since they are to change."""
+NOT_YET = 1e-6
+"""The same of tables that know nothing yet."""
 RECORDS = 1 << 21
 """Room for the records of one pass, 50 MB: longer paths have more, so that there are fewer of them."""
 BY_ALBEDO = 2
@@ -319,36 +321,29 @@ class TableBuilder:
         if self._made.known:
             self._made.known = with_pieces(self._made.known, lights)
         pilot, size, known = self._made.pilot, self.camera.size, self._made.known
-        importance, worth = self._made.sources["importance"], None
-        directions = GuidedDirections(self._materials, finder, None, None)
-        if number or known:
-            tables = known.radiance if known else self._finished("radiance", "photons")
-            radiance = DirectionalField(finder, tables)
-            places = known or self._made
-            aims = AimedDirections(places.aims, tables.irradiance) if places.aims else None
-            around = towards(aims, places.slits, "eye")
+        importance, places, light = self._made.sources["importance"], known or self._made, None
+        # The kernels of the steps that follow: first with tables that know nothing, then with roulette by albedo.
+        nothing = even_tables(finder.count, self.settings.rows, self.settings.columns)
+        tables = known.radiance if known else self._finished("radiance", "photons") if number else nothing
+        aims = AimedDirections(places.aims, tables.irradiance) if places.aims else None
+        share = TRAINING_SHARE if number or known else NOT_YET
+        eye = Guide(DirectionalField(finder, tables), share, towards(aims, places.slits, "eye"))
+        if not known:
             # Light paths that know where the sensor is bring photons from what eye paths cannot find.
-            light = None
-            if number > 1 and not known:
-                through = towards(None, self._made.slits, "light")
-                light = Guide(DirectionalField(finder, self._finished("importance")), TRAINING_SHARE, through)
-            # The kernel of the steps that follow, with roulette by albedo.
-            enough = NEVER if number < BY_ALBEDO else ENOUGH
-            guide = Guide(radiance, TRAINING_SHARE, around)
-            directions = GuidedDirections(self._materials, finder, guide, light, enough=enough)
-        if number:
-            worth = PixelWorth(pilot.image(), TRAINING_NOISE, size)
-        else:  # What importance is worth is not known before there is a pilot.
+            where, share = (self._finished("importance"), TRAINING_SHARE) if number > 1 else (nothing, NOT_YET)
+            light = Guide(DirectionalField(finder, where), share, towards(None, self._made.slits, "light"))
+        enough = NEVER if number < BY_ALBEDO else ENOUGH
+        if number == 0:  # What importance is worth is not known before there is a pilot.
             importance = DirectionalAccumulator(finder.count, self.settings.rows, self.settings.columns)
         bdpt = Bdpt(
             self.scene,
             self.camera,
             lights,
             max_depth=self.settings.max_depth,
-            roulette=RouletteRule("context" if number else "albedo", 5),
+            roulette=RouletteRule("context", 5),
             strategies=strategies.path(),
-            directions=directions,
-            worth=worth,
+            directions=GuidedDirections(self._materials, finder, eye, light, enough=enough),
+            worth=PixelWorth(pilot.image(), TRAINING_NOISE, size),
         )
         pilot.begin_step()
         hungry = self._starved
@@ -364,12 +359,12 @@ class TableBuilder:
         photons = self._made.sources.get("photons")
         # From the first step of each kernel on, so that there is one only.
         now = number == SLITS_AT and not known
-        of_eye = thinned(importance.evidence, now=now) if number else None
-        of_light = thinned(photons.evidence, now=now) if photons and number > 1 else None
+        of_eye = thinned(importance.evidence, now=now)
+        of_light = thinned(photons.evidence, now=now) if photons else None
         if not known:
             self._made.moments = seen.moments()
         colours = on_device(mi.Float, self._made.colours if self._made.colours.size else np.zeros((regions, 3)))
-        trial = ShareTrial(regions, TRAINING_SHARE) if number and not known else None
+        trial = ShareTrial(regions, TRAINING_SHARE) if not known else None
         # Two passes at least, each a batch, so that noise is known.
         passes = max(2, -(-paths * self.settings.max_depth // RECORDS))
         here = -(-paths // passes)
@@ -390,7 +385,7 @@ class TableBuilder:
             lit = here if hungry else max(1, here // LIGHT_PART)
             recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours, of_light)
             photons.close_batch(lit * areas)
-        if now and photons and of_light and of_eye:
+        if now and photons and of_light:
             cell = 4.0 * np.pi / (grid[0] * grid[1])
             lenders, flux = self._groups(), photons.moments()[1]
             bright = np.bincount(lenders, flux)[lenders] / np.bincount(lenders, areas)[lenders]
@@ -398,7 +393,7 @@ class TableBuilder:
             self._made.slits = slits(self.scene, of_light, of_eye, *finding)
         if not known:
             self._made.colours = np.array(colours, np.float64).reshape(regions, 3)
-        if trial:
+        if trial and number:
             self._made.chances = np.array(trial.sums, np.float64).reshape(regions, -1)
         if pieces(lights) and not known:
             self._made.lights = np.array(direct, np.float64).reshape(finder.count, -1)

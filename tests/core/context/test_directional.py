@@ -391,9 +391,12 @@ def test_floor_and_evidence_and_sum() -> None:
 
 
 def test_nothing_at_all_gives_even_tables() -> None:
-    from elps_core.context.directional import DirectionalAccumulator, finish
+    from elps_core.context.directional import DirectionalAccumulator, even_tables, finish
 
     result = finish([DirectionalAccumulator(3, 8, 16)], np.array([0, 1, 1]))
+    for got, expected in zip(vars(result).values(), vars(even_tables(3, 8, 16)).values(), strict=True):
+        assert got.dtype == expected.dtype
+        assert got == pytest.approx(expected)
     assert result.values == pytest.approx(np.full((3, 8, 16), 1.0 / 128))
     up = np.tile([0.0, 0.0, 1.0], (3, 1))
     result = finish([DirectionalAccumulator(3, 8, 16)], None, up, floor=0.0)

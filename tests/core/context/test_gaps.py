@@ -74,7 +74,7 @@ def test_photons_are_kept_by_the_chances_of_their_regions(mi: Any) -> None:
     assert kept.buffer.lost == 0
     some = kept.buffer.take()
     region = np.array(
-        walks._regions.lookup(some.position, some.normal * mi.Float(np.sign(np.array(some.normal @ some.direction))))
+        walks._regions(some.position, some.normal * mi.Float(np.sign(np.array(some.normal @ some.direction))))
     )
     later = np.array(some.depth) > 1  # The others come straight from the lamp
     assert 0.0 < later.mean() < 1.0

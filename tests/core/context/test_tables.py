@@ -130,6 +130,20 @@ def test_regions_learn_how_often_to_ask_their_tables(box: LoadedScene) -> None:
     assert reddish.max() > 1.2 * np.median(reddish) > 1.2 * 1.2 * reddish.min()
 
 
+def test_all_steps_of_walks_are_the_same_two_kernels(box: LoadedScene) -> None:
+    """Each is compiled for a second or more in a new scene; tables that know nothing are tables, too."""
+    import drjit as dr
+
+    builder = builder_of(box, paths=1 << 18)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        while builder.done < builder.steps:
+            builder.step()
+        kernels = dr.kernel_history((dr.KernelType.JIT,))
+    walks = {entry["hash"] for entry in kernels if "elps training" in entry["ir"].getvalue()}
+    assert len(walks) == 2
+
+
 def irradiance(kind: ParticleSource, source: str) -> tuple[Array, Array]:
     """Of every region, and the regions' areas, as the builder's own state says."""
     state = built(kind).arrays()
