@@ -74,7 +74,7 @@ class Renderer:
 
     def chunk_spp(self, index: int) -> int:
         """Samples per pixel of chunk ``index``."""
-        return chunk_spp(index, self.settings, self.size)
+        return chunk_spp(index, self.choice.settings, self.size)
 
     def render_chunk(self, index: int, spp: int | None = None) -> Chunk:
         """Render chunk ``index``; the same index gives the same image to float rounding.

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import structlog
 
-from elps_core.choice import choose
+from elps_core.choice import candidate, choose
 from elps_core.errors import ContextMismatch
 from elps_core.estimate.film import Accumulation, Chunk
 from elps_core.estimate.schedule import chunk_spp
@@ -30,9 +30,11 @@ _PROGRESS = ("samples_done", "chunks_done", "relative_error", "seconds_rendering
 """Fields of a job that its progress events carry."""
 
 
-def schedule(job: Job) -> ChunkSpp:
-    """Samples per pixel of each chunk of a job."""
-    return lambda index: chunk_spp(index, job.settings, (job.width, job.height))
+def schedule(job: Job, choice: dict[str, Any] | None) -> ChunkSpp:
+    """Samples per pixel of each chunk of a job, once it is known what renders."""
+    by_pilots = job.settings.integrator == "auto" and choice is not None
+    settings = candidate(job.settings, choice["name"]) if by_pilots and choice else job.settings
+    return lambda index: chunk_spp(index, settings, (job.width, job.height))
 
 
 class _Merged(NamedTuple):
@@ -72,7 +74,9 @@ class Settler:
         if entry is None or entry.job.state == "completed":
             return
         job, state = entry.job, self._parts.state
-        spp = schedule(job)
+        context = self._context(job)
+        choice = job.choice or (self._choice(job) if context == "ready" else None)
+        spp = schedule(job, choice)
         # In this order: a chunk that is finished meanwhile is seen twice rather than not at all.
         in_flight = frozenset(
             work.number for work in self._parts.board.in_flight() if work[:2] == ("chunk", job.digest)
@@ -81,13 +85,11 @@ class Settler:
         image, facts = self._merge(entry, mergeable(entry, done, spp))
         now = time.time()
         entry = _counted(entry, facts, now)
-        context = self._context(job)
         window = sum(job.settings.variant in worker.variants for worker in state.workers()) + 1
         decision = decide(entry, context, done, in_flight, window, now, spp)
         key = None
         if facts.chunks and (decision.finish or publish_due(entry, now, self._parts.settings.publish_seconds)):
             key = publish(self._parts.store, job, image)
-        choice = self._choice(job) if context == "ready" else None
         seen = state.change(
             id, lambda entry: _changed(entry, facts, key, decision.finish, context, choice, time.time())
         )
@@ -136,7 +138,7 @@ class Settler:
     def _choice(self, job: Job) -> dict[str, Any] | None:
         """What the pilots of a job's context say that should render."""
         record = self._parts.state.context(job.context_digest or "")
-        if record is None or not job.settings.adaptive or job.choice is not None:
+        if record is None or not job.settings.adaptive:
             return None
         try:
             return choose(job.settings, record.statistics).report()

@@ -206,7 +206,7 @@ class Child:
 
 
 def _in_time(entry: JobEntry, index: int) -> bool:
-    return worth_starting(entry, schedule(entry.job)(index), time.time())
+    return worth_starting(entry, schedule(entry.job, entry.job.choice)(index), time.time())
 
 
 def register(app: Celery, make_child: Callable[[], Child], folder: Path) -> None:

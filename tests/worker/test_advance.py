@@ -6,9 +6,12 @@ from typing import Any
 
 import pytest
 
+from elps_core.choice import CANDIDATES
+from elps_core.estimate.schedule import chunk_spp
 from elps_core.settings import RenderSettings, StopCriterion
 from worker.advance import Decision, decide, eta_seconds, mergeable, publish_due, worth_starting
 from worker.models import Job
+from worker.settle import schedule
 from worker.state import JobEntry
 
 NONE: frozenset[int] = frozenset()
@@ -43,6 +46,14 @@ def decided(
     now: float = 1.0,
 ) -> Decision:
     return decide(job, context, done, flying, window, now, spp)
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_chunks_are_as_large_as_those_of_what_pilots_have_chosen(name: str) -> None:
+    named = RenderSettings(integrator=CANDIDATES[name]["integrator"])
+    auto = {"settings": RenderSettings(integrator="auto"), "width": 256, "height": 256}
+    chosen = schedule(entry(StopCriterion(seconds=9.0)).job.model_copy(update=auto), {"name": name})
+    assert [chosen(index) for index in range(20)] == [chunk_spp(index, named, (256, 256)) for index in range(20)]
 
 
 def test_a_new_job_fills_its_window() -> None:

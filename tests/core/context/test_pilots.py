@@ -144,6 +144,7 @@ def test_auto_renders_what_pilots_chose(box: LoadedScene) -> None:
     assert renderer.choice.name in CANDIDATES
     forced = Renderer(box, candidate(settings, renderer.choice.name), context_of(box))
     assert np.allclose(renderer.render_chunk(0, 4).image, forced.render_chunk(0, 4).image, rtol=1e-4, atol=1e-5)
+    assert [renderer.chunk_spp(index) for index in range(20)] == [forced.chunk_spp(index) for index in range(20)]
 
 
 def test_light_paths_tell_no_more_than_the_variance_of_eye_paths(box: LoadedScene) -> None:
