@@ -159,18 +159,21 @@ class Choice:
 
 
 def unguided_wins(scouts: Iterable[Pilot]) -> bool:
-    """Whether training can stop: one without directions by table is better than those with it will be."""
+    """Whether training can stop: one without directions by table is better than those with it are and will be."""
     said = tuple(scouts)
     known = {pilot.name: pilot for pilot in _known(replace(pilot, rival=0.0) for pilot in said)}
     rival = max((pilot.rival for pilot in said), default=0.0)
-    guided = [_at_least(rival / RIVALS_FALL, _trained(p, known)) for p in known.values() if _is_guided(p.name)]
+    guided = [pilot for pilot in known.values() if _is_guided(pilot.name)]
+    now, then = (
+        [_at_least(rival / RIVALS_FALL, p) for p in ps] for ps in (guided, [_trained(p, known) for p in guided])
+    )
     # Eye paths without tables find caustics no more easily.
     others = [_at_least(rival, pilot) for pilot in known.values() if not _is_guided(pilot.name)]
     if not guided or not others:
         return False
     best = max(others, key=lambda pilot: pilot.efficiency)
-    worth = (1.0 - WHOLE_TRAINING) * max(pilot.efficiency for pilot in guided)
-    return best.variance < CLEAR and best.efficiency > worth
+    worth = max(*(p.efficiency for p in now), *((1.0 - WHOLE_TRAINING) * p.efficiency for p in then))
+    return best.variance < CLEAR and best.efficiency >= worth
 
 
 def _at_least(rival: float, pilot: Pilot) -> Pilot:

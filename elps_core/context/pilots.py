@@ -145,7 +145,7 @@ class PilotRunner:
             error=float(error),
             mean=float(mean),
             mean_error=float(mean_error),
-            microseconds=1e6 * float(np.median(seconds)) / BLOCK,
+            microseconds=1e6 * min(seconds) / BLOCK,  # What else the machine does makes all the others longer
             samples=BLOCK * count,
             rival=rival,
         )

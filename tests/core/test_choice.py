@@ -26,7 +26,6 @@ from elps_core.choice import (
     RIVALS_FALL,
     SCOUTS,
     SLOWEST,
-    STILL,
     TOLD_APART,
     WHOLE_TRAINING,
     WITH_CAUSTICS,
@@ -205,8 +204,8 @@ def clear(**efficiencies: float) -> list[Pilot]:
     ("efficiencies", "wins"),
     [
         ({}, True),
-        ({"pe": (1.01 / (1.0 - WHOLE_TRAINING)) ** (1.0 / (1.0 + STILL))}, False),  # It goes on as it has begun
-        ({"pe": (0.99 / (1.0 - WHOLE_TRAINING)) ** (1.0 / (1.0 + STILL))}, True),
+        ({"pe": 1.01}, False),  # It is better already
+        ({"pe": 0.99}, True),
         ({"pp": 1.01}, True),
         ({"bp": 1.01}, True),
         ({"blbcu": 1.01}, True),
