@@ -32,8 +32,8 @@ _PROGRESS = ("samples_done", "chunks_done", "relative_error", "seconds_rendering
 
 def schedule(job: Job, choice: dict[str, Any] | None) -> ChunkSpp:
     """Samples per pixel of each chunk of a job, once it is known what renders."""
-    by_pilots = job.settings.integrator == "auto" and choice is not None
-    settings = candidate(job.settings, choice["name"]) if by_pilots and choice else job.settings
+    by_pilots = choice if job.settings.integrator == "auto" else None
+    settings = candidate(job.settings, by_pilots["name"]) if by_pilots else job.settings
     return lambda index: chunk_spp(index, settings, (job.width, job.height))
 
 

@@ -6,8 +6,8 @@ from elps_core.settings import RenderSettings
 
 FULL_SAMPLES = {"path": 1 << 22, "light": 1 << 22, "bdpt": 1 << 21, "pssmlt": 1 << 21}
 """Samples (of pssmlt: mutations) of a full chunk: on two cores one to three seconds in a Cornell box, and
-three to eight in rooms with more to compute, or at greater depth. Samples are even within a chunk: with half as many
-path tracing had a twelfth more variance in a Cornell box."""
+three to eight in rooms with more to compute, or at greater depth. Samples are even within
+a chunk."""
 BASELINE_SAMPLES = 1 << 22
 """Of Mitsuba's own integrators."""
 BOOTSTRAP_RATIO = 4

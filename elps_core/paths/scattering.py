@@ -59,20 +59,17 @@ class Materials:
     def __init__(self, scene: mi.Scene) -> None:
         carried = list(dict.fromkeys(shape.bsdf() for shape in every_shape(scene)))
         self._carried = carried
-        numbers = np.array(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(carried)), np.int64) if carried else np.zeros(0)
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(carried)) if carried else [], np.int64)
         places = np.zeros(int(numbers.max(initial=0)) + 1, np.uint32)
-        places[numbers.astype(np.int64)] = np.arange(len(carried))
+        places[numbers] = np.arange(len(carried))
         self._places = on_device(mi.UInt32, places)
-
-    def _asked(self, question: Callable[..., Answer]) -> list[Callable[..., Answer]]:
-        return [partial(question, bsdf) for bsdf in self._carried]
 
     def _ask(self, question: Callable[..., Answer], si: mi.SurfaceInteraction3f, *rest: Any) -> Answer:
         """Put ``question`` to the BSDF of each surface point; the last argument tells where there is one to ask."""
-        bsdf = dr.reinterpret_array(mi.UInt32, si.bsdf())
-        active = rest[-1] & (bsdf != 0)
-        place = dr.gather(mi.UInt32, self._places, bsdf, active)
-        answer: Answer = dr.switch(place, self._asked(question), si, *rest[:-1], active)
+        number = dr.reinterpret_array(mi.UInt32, si.bsdf())
+        active = rest[-1] & (number != 0)
+        place = dr.gather(mi.UInt32, self._places, number, active)
+        answer: Answer = dr.switch(place, [partial(question, bsdf) for bsdf in self._carried], si, *rest[:-1], active)
         return answer
 
     def seen_by_eye(self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:

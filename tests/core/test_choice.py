@@ -281,6 +281,10 @@ def test_subpaths_are_joined_by_context_where_it_may_pay() -> None:
     without = worth_measuring(every, scouts(pe=9.0, beu=8.0, bp=0.99 / JOINS))
     assert set(without) == set(every) - set(JOINED)
     assert set(worth_measuring(every, scouts(pp=0.9, bp=0.91 / JOINS, beu=0.8))) == set(every)
+    # What is lit by context speaks for a plain path that no scout was asked of.
+    for joined, pays in ((1.01, True), (0.99, False)):
+        said = [of(EYE_PATHS, 9.0), of(LIT_PATH, 3.0), of("bdpt, plain", 3.0 * joined / JOINS)]
+        assert set(JOINED).issubset(worth_measuring(every, said)) is pays
 
 
 def test_what_tables_have_left_behind_is_not_measured_again() -> None:
