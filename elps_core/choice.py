@@ -184,7 +184,7 @@ def _at_least(rival: float, pilot: Pilot) -> Pilot:
 
 def _trained(guided: Pilot, known: Mapping[str, Pilot]) -> Pilot:
     """A scout as it will be in the end, if tables go on as they have begun."""
-    plain = known.get(UNGUIDED[guided.name])
+    plain = known.get(UNGUIDED.get(guided.name, ""))
     gain = plain.variance / max(guided.variance, LEAST) if plain else 1.0
     return replace(guided, variance=guided.variance / min(max(gain, 1.0) ** STILL, MOST_GAIN))
 

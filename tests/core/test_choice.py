@@ -6,6 +6,8 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from elps_core.choice import (
@@ -385,6 +387,31 @@ def test_pilots_without_scouts_follow_in_turn() -> None:
 
 def is_guided(name: str) -> bool:
     return ENLIGHTENED.items() <= CANDIDATES[name].items()
+
+
+NUMBERS = st.sampled_from([0.0, 0.02, 0.5, 1.0, 1.2, 2.0, 30.0, 1e4])
+SAID = st.builds(Pilot, st.just(""), NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS, st.just(9), NUMBERS)
+ALL_SAY = st.fixed_dictionaries({name: SAID for name in CANDIDATES})
+
+
+@given(candidates=st.sets(st.sampled_from(sorted(CANDIDATES)), min_size=1), early=st.none() | ALL_SAY, late=ALL_SAY)
+def test_whatever_they_say_there_is_a_choice(
+    candidates: set[str], early: dict[str, Pilot] | None, late: dict[str, Pilot]
+) -> None:
+    """Scouts and pilots follow one another to an end, none twice, and none in the place of one that has been."""
+    order = [name for name in CANDIDATES if name in candidates]
+    scouts: list[Pilot] = []
+    while early and (scout := next_scout(order, scouts)) is not None:
+        scouts.append(replace(early[scout], name=scout))
+    unguided_wins(scouts)
+    pilots: list[Pilot] = []
+    while len(names := worth_measuring(order, scouts, pilots)) > len(pilots):
+        assert names[: len(pilots)] == [pilot.name for pilot in pilots]
+        pilots.append(replace(late[names[len(pilots)]], name=names[len(pilots)]))
+    known = together(scouts, pilots)
+    assert len({pilot.name for pilot in known}) == len(known)
+    assert {pilot.name for pilot in known} <= candidates
+    assert choose(AUTO, {PILOTS: [asdict(pilot) for pilot in known]}).name in candidates
 
 
 def test_scouts_speak_in_terms_of_pilots() -> None:
