@@ -53,7 +53,7 @@ FORMS = {
     "path": ("path, plain", LIT_PATH, EYE_PATHS),
 }
 """Whose samples chains may walk over, and the candidates that speak for each: a plain one first, enlightened last."""
-SCOUTS = (LIT_PATH, EYE_PATHS, "bdpt, plain", WITH_CAUSTICS, LIT_UNJOINED, "path, plain")
+SCOUTS = ("bdpt, plain", LIT_PATH, EYE_PATHS, WITH_CAUSTICS, LIT_UNJOINED, "path, plain")
 """Those that are compared early in training already, so that it can stop where tables will not pay; each only where it
 can still be the best, by what those before it have said: to compile and to run one takes a second and more."""
 UNGUIDED = {EYE_PATHS: LIT_PATH, WITH_CAUSTICS: LIT_UNJOINED}

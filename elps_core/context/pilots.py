@@ -49,6 +49,9 @@ SINGULAR = 0.5
 """Part of a variance above which one pair of sets says nothing of it."""
 SUMS = 1 << 10
 """Places that a sum is spread over by the number of the path: threads seldom meet, and the scatter tells its error."""
+BEHIND = 4.0
+"""Times as efficient as a scout another one is, where the scout has seen enough after its least blocks, even if it is
+better by a standard error."""
 SURELY = 2.0
 """Standard errors by which what light paths tell of eye paths is taken to be less: at a door that is ajar by 3 degrees
 it was 14 to 660 and is 0 to 6 so, with a bulb in glass 300 to 550 and is 190 to 290."""
@@ -82,6 +85,29 @@ def at_least(parts: NDArray[np.float64]) -> float:
     return float(parts.mean() - SURELY * parts.std(ddof=1) / np.sqrt(len(parts)))
 
 
+def _said(name: str, found: list[_Block], seconds: list[float]) -> Pilot:
+    """What blocks say of a candidate, and how long each took."""
+    count = len(found)
+    kinds = [np.stack(every, axis=1) for every in ([b.by_eye for b in found], [b.by_light for b in found])]
+    parts = np.concatenate(kinds, axis=2)  # [2, blocks, pixels and light paths]
+    parts *= without_singular(parts[0])
+    both = parts.sum(axis=2)
+    # Errors by blocks, and by their parts: a few blocks may come out alike by chance.
+    by_block = both.std(axis=1, ddof=1) / np.sqrt(count)
+    kinds = np.split(parts, [kinds[0].shape[2]], axis=2)
+    by_part = np.sqrt(sum(kind.var(axis=2, ddof=1).mean(axis=1) * kind.shape[2] for kind in kinds) / count)
+    (variance, mean), (error, mean_error) = both.mean(axis=1), np.maximum(by_block, by_part)
+    return Pilot(
+        name=name,
+        variance=float(variance),
+        error=float(error),
+        mean=float(mean),
+        mean_error=float(mean_error),
+        microseconds=1e6 * min(seconds) / BLOCK,  # What else the machine does makes all the others longer
+        samples=BLOCK * count,
+    )
+
+
 class PilotRunner:
     """Runs candidates in one scene, each for about a quarter of a second."""
 
@@ -109,15 +135,18 @@ class PilotRunner:
     def run(self, name: str, others: Iterable[Pilot] = (), *, scout: bool = False) -> Pilot:
         """Measure the candidate ``name``, by samples of their own and fewer if it is a ``scout``.
 
-        With as many samples as that one of the ``others`` had that makes the same eye paths.
+        With as many samples as that one of the ``others`` had that makes the same eye paths; a scout that is far behind
+        one of them with the fewest.
         """
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
         # The same numbers for all candidates: what one has met by chance others have, where they make the same paths.
         key = (self._settings.context.seed, STREAM, int(scout))
         limit = SCOUTING if scout else SECONDS
+        others = tuple(others)
         twin = next((pilot for pilot in others if pilot.name == TWINS.get(name)), None)
         least, most = (twin.samples // BLOCK,) * 2 if twin else (LEAST, MOST)
+        best = max((pilot.efficiency for pilot in others), default=0.0) if scout else 0.0
         found: list[_Block] = []
         seconds: list[float] = []
         begin = time.perf_counter()
@@ -128,27 +157,12 @@ class PilotRunner:
             seconds.append(kernels.running)
             if len(found) == 1:  # Compiled, and perhaps for the first time
                 begin = time.perf_counter()
+            elif len(found) == least and best > 0.0:
+                so_far = _said(name, found, seconds)
+                if BEHIND * replace(so_far, variance=so_far.variance - so_far.error).efficiency < best:
+                    break
         rival = self._rival(bdpt, (*key, RIVAL)) if name == WITH_CAUSTICS else 0.0
-        count = len(found)
-        kinds = [np.stack(every, axis=1) for every in ([b.by_eye for b in found], [b.by_light for b in found])]
-        parts = np.concatenate(kinds, axis=2)  # [2, blocks, pixels and light paths]
-        parts *= without_singular(parts[0])
-        both = parts.sum(axis=2)
-        # Errors by blocks, and by their parts: a few blocks may come out alike by chance.
-        by_block = both.std(axis=1, ddof=1) / np.sqrt(count)
-        kinds = np.split(parts, [kinds[0].shape[2]], axis=2)
-        by_part = np.sqrt(sum(kind.var(axis=2, ddof=1).mean(axis=1) * kind.shape[2] for kind in kinds) / count)
-        (variance, mean), (error, mean_error) = both.mean(axis=1), np.maximum(by_block, by_part)
-        return Pilot(
-            name=name,
-            variance=float(variance),
-            error=float(error),
-            mean=float(mean),
-            mean_error=float(mean_error),
-            microseconds=1e6 * min(seconds) / BLOCK,  # What else the machine does makes all the others longer
-            samples=BLOCK * count,
-            rival=rival,
-        )
+        return replace(_said(name, found, seconds), rival=rival)
 
     def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> _Block:
         """What a block's samples say of variance and mean, see :class:`Pilot`.

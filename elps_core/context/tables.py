@@ -92,6 +92,7 @@ class TableBuilder:
         self._materials = Materials(scene)
         self._made = TableState(PilotImage(camera.size))
         self._parents: NDArray[np.uint32] | None = None
+        self._ready: dict[tuple[str, ...], DirectionalTables] = {}
 
     @property
     def filling(self) -> list[int]:
@@ -252,6 +253,12 @@ class TableBuilder:
         return groups_of(regions, max(1, regions.count // number), self.settings.seed)
 
     def _finished(self, *names: str) -> DirectionalTables:
+        """Of the sources of these names, until the next step; scouts and the step after them ask for the same."""
+        if names not in self._ready:
+            self._ready[names] = self._finish(*names)
+        return self._ready[names]
+
+    def _finish(self, *names: str) -> DirectionalTables:
         sources = [self._made.sources[name] for name in names if name in self._made.sources]
         peaks = self._made.sources.get(CAUSTICS) if "radiance" in names else None
         return finish(sources, self._groups(), self.regions.normals, peaks=peaks)
@@ -271,6 +278,7 @@ class TableBuilder:
         cells = self.settings.rows * self.settings.columns
         self._made.restore(arrays, steps=self.steps, first=1 + CLUSTER_STEPS, cells=cells)
         self._parents = None
+        self._ready.clear()
 
     # -- Regions ---------------------------------------------------------------------------------
 
@@ -308,6 +316,7 @@ class TableBuilder:
         else:
             collect(self.scene, self.camera, self.settings, lights, finder, self._made, paths, key)
         self._made.paths += paths
+        self._ready.clear()
 
     def _walk(
         self,

@@ -328,7 +328,7 @@ def in_turn(known: list[Pilot], candidates: tuple[str, ...] = SCOUTS) -> list[st
 
 def test_scouts_go_out_where_they_may_find_the_best() -> None:
     """Light paths, where joined ones have less variance; the power of lamps, where their regions are near the best."""
-    three = [LIT_PATH, EYE_PATHS, "bdpt, plain"]
+    three = ["bdpt, plain", LIT_PATH, EYE_PATHS]
     plain, unjoined, twin = (of(name, 1.0) for name in ("path, plain", LIT_UNJOINED, WITH_CAUSTICS))
     for lit, last in ((0.99, []), (1.01, ["path, plain"])):
         eye, joined = of(EYE_PATHS, 8.0), of("bdpt, plain", 1.0, variance=1.01 / LIGHT_COSTS)
@@ -377,8 +377,8 @@ def test_what_tables_have_won_they_have_won_for_paths_that_are_alike() -> None:
 def test_pilots_without_scouts_follow_in_turn() -> None:
     """What none before has made pointless; those that are done stay first, in their order."""
     every = list(CANDIDATES)
-    assert worth_measuring(every, [])[:3] == [LIT_PATH, EYE_PATHS, "bdpt, plain"]
-    known = [of(LIT_PATH, 1.0), of(EYE_PATHS, 8.0), of("bdpt, plain", 0.2)]
+    assert worth_measuring(every, [])[:3] == ["bdpt, plain", LIT_PATH, EYE_PATHS]
+    known = [of("bdpt, plain", 0.2), of(LIT_PATH, 1.0), of(EYE_PATHS, 8.0)]
     for done in range(4):
         planned = worth_measuring(every, [], known[:done])
         assert planned[:3] == [pilot.name for pilot in known]
@@ -391,7 +391,7 @@ def is_guided(name: str) -> bool:
 
 NUMBERS = st.sampled_from([0.0, 0.02, 0.5, 1.0, 1.2, 2.0, 30.0, 1e4])
 SAID = st.builds(Pilot, st.just(""), NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS, st.just(9), NUMBERS)
-ALL_SAY = st.fixed_dictionaries({name: SAID for name in CANDIDATES})
+ALL_SAY = st.fixed_dictionaries(dict.fromkeys(CANDIDATES, SAID))
 
 
 @given(candidates=st.sets(st.sampled_from(sorted(CANDIDATES)), min_size=1), early=st.none() | ALL_SAY, late=ALL_SAY)

@@ -173,6 +173,37 @@ def test_what_one_path_says_is_not_sure() -> None:
     assert 3.5 < at_least(some) < some.mean()
 
 
+def test_a_scout_that_is_far_behind_says_little_more(box: LoadedScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    from elps_core.context import pilots
+    from elps_core.context.pilots import BEHIND, BLOCK
+
+    runner = runner_of(box)
+    monkeypatch.setattr(pilots, "SCOUTING", 1e9)
+    monkeypatch.setattr(pilots, "MOST", 5)
+    alone = runner.run("path, plain", scout=True)
+    assert alone.samples == 5 * BLOCK
+    # Times jitter, and few blocks know little of a variance: far from the limit on both sides.
+    near, far = (
+        replace(alone, name="bdpt, plain", variance=alone.variance / (times * BEHIND)) for times in (0.25, 100.0)
+    )
+    assert runner.run("path, plain", [near], scout=True).samples == 5 * BLOCK
+    assert runner.run("path, plain", [near, far], scout=True).samples == 2 * BLOCK
+    monkeypatch.setattr(pilots, "SECONDS", 1e9)
+    assert runner.run("path, plain", [near, far]).samples == 5 * BLOCK  # A pilot, which renders are chosen by
+
+
+def runner_of(box: LoadedScene) -> Any:
+    from elps_core.context.build import start_density
+    from elps_core.context.pilots import PilotRunner
+    from elps_core.scene.emission import Emission
+    from elps_core.scene.sensors import Camera
+
+    context = context_of(box)
+    assert context.directions is not None
+    lights = start_density(context, Emission(box.scene))
+    return PilotRunner(box.scene, Camera(box.sensor), lights, context.directions, SETTINGS)
+
+
 def test_the_same_eye_paths_are_compared(box: LoadedScene) -> None:
     """What chance has brought one of two candidates, it brings the other: both have as many of the same samples."""
     from elps_core.context.build import start_density
