@@ -41,6 +41,7 @@ class Renderer:
         self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
         """What renders frames by one of our own integrators; None for one of Mitsuba's."""
         self._baseline = self._mitsuba_integrator() if self.frames is None else None
+        self._spp = 0
 
     def _prepare(self, context: GlobalContext | None) -> make.Frames:
         settings = self.choice.settings
@@ -86,6 +87,10 @@ class Renderer:
         """
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
+        if count != self._spp:
+            # Dr.Jit keeps what it has freed, by size: of no use to larger arrays, which would begin with new pages.
+            dr.flush_malloc_cache()
+            self._spp = count
         if self.frames is not None:
             frame = self.frames.render(count, (self.settings.seed, index))
             image, weight, statistics = np.array(frame.image), np.array(frame.weight), frame.statistics

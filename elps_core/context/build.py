@@ -6,6 +6,7 @@ import time
 from dataclasses import asdict, astuple
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError
@@ -92,6 +93,7 @@ class ContextBuilder:
     def step(self) -> None:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`."""
         begin = time.perf_counter()
+        dr.flush_malloc_cache()  # Each step has larger arrays, and no use for memory of the sizes before
         measured = self._adjoint
         if len(measured.batches) < adjoint.STEPS:
             measured.step()
