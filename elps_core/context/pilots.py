@@ -86,7 +86,7 @@ def at_least(parts: NDArray[np.float64]) -> float:
 
 
 def _said(name: str, found: list[_Block], seconds: list[float]) -> Pilot:
-    """What blocks say of a candidate, and how long each took."""
+    """What blocks of a candidate say, whose kernels took so many ``seconds`` each; no rival yet."""
     count = len(found)
     kinds = [np.stack(every, axis=1) for every in ([b.by_eye for b in found], [b.by_light for b in found])]
     parts = np.concatenate(kinds, axis=2)  # [2, blocks, pixels and light paths]
