@@ -206,22 +206,16 @@ def runner_of(box: LoadedScene) -> Any:
 
 def test_the_same_eye_paths_are_compared(box: LoadedScene) -> None:
     """What chance has brought one of two candidates, it brings the other: both have as many of the same samples."""
-    from elps_core.context.build import start_density
-    from elps_core.context.pilots import BLOCK, PilotRunner
+    from elps_core.context.pilots import BLOCK
     from elps_core.integrators.make import paths_of
-    from elps_core.scene.emission import Emission
-    from elps_core.scene.sensors import Camera
 
-    context = context_of(box)
-    assert context.directions is not None
-    lights = start_density(context, Emission(box.scene))
-    runner = PilotRunner(box.scene, Camera(box.sensor), lights, context.directions, SETTINGS)
+    runner = runner_of(box)
     for name, twin in TWINS.items():
         fewer = replace(runner.run(twin), samples=2 * BLOCK)
         assert runner.run(name, [fewer]).samples == 2 * BLOCK
         settings = RenderSettings(integrator="auto", max_depth=SETTINGS.max_depth, context=SETTINGS)
         paths = [
-            paths_of(box.scene, Camera(box.sensor), lights, candidate(settings, each), context.directions)
+            paths_of(box.scene, runner._camera, runner._lights, candidate(settings, each), runner._parts)
             for each in (name, twin)
         ]
         every = zip((*paths, paths[1]), (7, 7, 8), strict=True)
