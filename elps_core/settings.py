@@ -112,6 +112,9 @@ class ContextSettings(_Model):
     """How a file keeps the tables."""
     adaptive: bool = True
     """Whether pilots are measured with the tables, so that renders use these only where they pay."""
+    thorough: bool = False
+    """Whether tables are filled to the end where ``auto`` will not use them, too. Renders that use them whatever else
+    is better, such as ``path`` with directions by context, ask for it by themselves."""
 
     def without_tables(self) -> ContextSettings:
         """What the adjoint image alone depends on, so that all who want no more share it."""
@@ -301,6 +304,14 @@ class RenderSettings(_Model):
         return self.guided and self.context.adaptive and not part
 
     @property
+    def keeps_to_tables(self) -> bool:
+        """Whether tables pay for what was asked for even where another algorithm is better by far without them."""
+        over = self.pssmlt.over if self.integrator == "pssmlt" else None
+        alone = self.integrator in ("path", "light") or over in ("path", "unjoined")
+        unjoined = self.integrator == "bdpt" and not self.bdpt.joins
+        return self.adaptive and self.direction_sampling == "context" and (alone or unjoined)
+
+    @property
     def measured(self) -> ContextSettings:
         """How the context that the render needs is measured."""
         return self.context if self.needs_tables else self.context.without_tables()
@@ -324,15 +335,19 @@ class StopCriterion(_Model):
 
 
 def suited(settings: RenderSettings, stop: StopCriterion) -> RenderSettings:
-    """``settings`` with a context that suits the time of the render, where they do not say how many paths it takes.
+    """``settings`` with a context that suits the render: what they do not say of it follows from its time.
 
-    By powers of two and by nothing else, so that renders of about the same length share a context on any machine.
+    How many paths fill the tables, by powers of two and by nothing else, so that renders of about the same length
+    share a context on any machine; and to the end where the render keeps to tables.
     """
-    if settings.context.paths is not None or not settings.needs_tables:
-        return settings
-    seconds = USUAL_SECONDS if stop.seconds is None else stop.seconds
-    paths = min(max(USUAL_PATHS * seconds / USUAL_SECONDS, LEAST_PATHS), MOST_PATHS)
-    return with_overrides(settings, {"context.paths": 1 << math.floor(math.log2(paths))})
+    changes: dict[str, Any] = {}
+    if settings.context.paths is None and settings.needs_tables:
+        seconds = USUAL_SECONDS if stop.seconds is None else stop.seconds
+        paths = min(max(USUAL_PATHS * seconds / USUAL_SECONDS, LEAST_PATHS), MOST_PATHS)
+        changes["context.paths"] = 1 << math.floor(math.log2(paths))
+    if settings.keeps_to_tables:
+        changes["context.thorough"] = True
+    return with_overrides(settings, changes) if changes else settings
 
 
 def first_problem(error: ValidationError) -> str:

@@ -26,7 +26,7 @@ from elps_core.scene.bundle import is_archive
 from elps_core.scene.digest import context_digest, render_digest
 from elps_core.scene.inspect import inspect_in_child
 from elps_core.scene.summary import SceneSummary
-from elps_core.settings import RenderSettings, StopCriterion, suited
+from elps_core.settings import RenderSettings, StopCriterion, suited, with_overrides
 from worker.errors import FarmUnavailable
 from worker.leases import Work
 from worker.models import FINAL_STATES, ContextRecord, Event, Job, SceneRecord, WorkerInfo
@@ -125,6 +125,7 @@ class Farm:
         settings = suited(settings, stop)
         size = self._checked_size(summary, settings)
         reach.check(summary, settings)
+        settings = self._sharing(scene, settings, size)
         context = context_digest(scene, settings.sensor, size, settings.measured) if settings.needs_context else None
         known = None if context is None else self.context(context)
         hit = None if context is None else known is not None and known.state == "ready"
@@ -154,6 +155,23 @@ class Farm:
         self._parts.state.create(entry)
         self._parts.queue.settle(job)
         return self.job(job.id) or job
+
+    def _sharing(self, scene: str, settings: RenderSettings, size: tuple[int, int]) -> RenderSettings:
+        """The settings with the context of others that serves as well, where their own is not there.
+
+        Tables that are filled to the end serve all, and those that need not be may have been.
+        """
+        if not settings.needs_tables:
+            return settings
+        others = with_overrides(settings, {"context.thorough": not settings.context.thorough})
+        own, other = (
+            self.context(context_digest(scene, settings.sensor, size, each.measured)) for each in (settings, others)
+        )
+        if other is None or (own and own.state == "ready"):
+            return settings
+        filled = other.state == "ready" and bool(other.statistics.get("thorough"))
+        coming = own is None and others.context.thorough and other.state != "failed"
+        return others if filled or coming else settings
 
     @_answering()
     def job(self, id: str) -> Job | None:  # noqa: A002

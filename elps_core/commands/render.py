@@ -149,7 +149,15 @@ def _prepare_context(scene: LoadedScene, settings: RenderSettings, path: Path | 
 
     begin = time.perf_counter()
     if path is not None and path.exists():
-        return _Context(store.load(path), True, time.perf_counter() - begin)
+        context = store.load(path)
+        if settings.keeps_to_tables and not context.statistics.get("thorough", True):
+            progress.console.print(
+                "warning: the tables of this context were not filled to the end, because 'auto' does not use them: "
+                "remove the file to have them filled for this integrator",
+                highlight=False,
+                soft_wrap=True,
+            )
+        return _Context(context, True, time.perf_counter() - begin)
     context = build_with_progress(scene, settings.measured, progress)
     if path is not None:
         store.save(context, path)

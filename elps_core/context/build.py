@@ -13,10 +13,22 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from elps_core.choice import PILOTS, SCOUTS, Pilot, fit_candidates, next_scout, together, unguided_wins, worth_measuring
+from elps_core.choice import (
+    CANDIDATES,
+    FIRST_SCOUTS,
+    PILOTS,
+    SCOUTS,
+    Pilot,
+    far_ahead,
+    fit_candidates,
+    next_scout,
+    together,
+    unguided_wins,
+    worth_measuring,
+)
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
-from elps_core.context.pilots import PilotRunner
+from elps_core.context.pilots import LEAST, PilotRunner
 from elps_core.context.saved import UNFIT
 from elps_core.context.store import DirectionalParts, GlobalContext
 from elps_core.context.tables import TableBuilder
@@ -28,8 +40,8 @@ from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.settings import ContextSettings
 
-SCOUTED_AFTER = 3
-"""Steps of filling before the scouts: 2^15 + 2^16 + 2^17 paths."""
+LOOKED_AFTER, SCOUTED_AFTER = 2, 3
+"""Steps of filling before the first scouts, 2^15 + 2^16 paths, and before all of them: 2^17 more."""
 
 
 class ContextBuilder:
@@ -61,7 +73,7 @@ class ContextBuilder:
     @property
     def _scouting(self) -> bool:
         """Whether scouts say, or are yet to say, if training is to go on to its end."""
-        if not self._tables or not set(SCOUTS) & set(self._candidates):
+        if not self._tables or self._settings.thorough or not set(SCOUTS) & set(self._candidates):
             return False
         left = len(self._tables.filling) - SCOUTED_AFTER
         converged = self._tables.done == self._tables.steps and not self._scouts
@@ -78,8 +90,9 @@ class ContextBuilder:
         Raises:
             RuntimeError: steps have been taken.
         """
-        fit = (other.surroundings, other.settings) == (self._scene.surroundings, self._settings)
-        if not fit or not self._tables or not other.directions:
+        same = other.settings.model_copy(update={"thorough": self._settings.thorough})
+        fit = (other.surroundings, same) == (self._scene.surroundings, self._settings)
+        if not fit or not other.statistics.get("thorough") or not self._tables or not other.directions:
             return False
         emission = self._adjoint.emission
         return self._tables.begin_from(other.directions, StartDensity(emission, power_table(emission)))
@@ -102,15 +115,33 @@ class ContextBuilder:
                 measured.image(), measured.emission, self._settings.epsilon, self._settings.exponent
             )
             lights = StartDensity(measured.emission, table)
-            if self._scouting and not self._scouts and self._tables.filled == SCOUTED_AFTER:
+            scouted = self._tables.filled if self._scouting and not self._scouts else 0
+            if scouted == SCOUTED_AFTER:
                 self._scout(self._tables, lights)
             elif self._tables.done < self._tables.steps:
-                self._tables.step(lights)
+                if scouted != LOOKED_AFTER or not self._look(self._tables, lights):
+                    self._tables.step(lights)
             else:
                 self._parts = self._parts or self._tables.result()
                 runner = self._runner(self._parts, lights)
                 self._pilots.append(runner.run(self._measured[len(self._pilots)], self._pilots))
         self._seconds += time.perf_counter() - begin
+
+    def _look(self, tables: TableBuilder, lights: StartDensity) -> bool:
+        """Whether no more steps are needed, because joined subpaths are far ahead of what tables can do."""
+        if not tables.finds_noise or not set(FIRST_SCOUTS) <= set(self._candidates):
+            return False
+        parts, scouts = tables.result(), list[Pilot]()
+        runner = self._runner(parts, lights)
+        for name in FIRST_SCOUTS:
+            scouts.append(runner.run(name, scouts, scout=True, most=LEAST))
+            if not far_ahead(scouts):
+                return False
+        if not unguided_wins(scouts):
+            return False
+        tables.stop()
+        self._scouts, self._parts = scouts, parts
+        return True
 
     def _scout(self, tables: TableBuilder, lights: StartDensity) -> None:
         """Compare a few candidates by the tables so far; no more steps for these where a plain one will be better."""
@@ -153,6 +184,7 @@ class ContextBuilder:
                 "table_error": tables.relative_error(),
                 "records": int(parts.radiance.evidence.sum()),
                 "median_records": float(np.median(parts.radiance.evidence)),
+                "thorough": not (self._scouts and unguided_wins(self._scouts)),
             }
         if self._candidates:
             statistics[PILOTS] = [asdict(pilot) for pilot in together(self._scouts, self._pilots)]
@@ -190,14 +222,7 @@ class ContextBuilder:
         try:
             record = load_tensors(data)
             batches, seconds = record["batches"], float(record["seconds"][0])
-            none = np.zeros((0, 7))
-            scouts: list[Pilot] = []
-            pilots: list[Pilot] = []
-            # Each may decide which one follows.
-            for row in record.get("scouts", none):
-                scouts.append(_pilot(str(next_scout(self._candidates, scouts)), row))
-            for row in record.get("pilots", none):
-                pilots.append(_pilot(worth_measuring(self._candidates, scouts, pilots)[len(pilots)], row))
+            scouts, pilots = (_pilots(record[name]) if name in record else [] for name in ("scouts", "pilots"))
         except (SafetensorError, KeyError, IndexError, TypeError, ValueError):
             raise ContextMismatch(UNFIT) from None
         grid = (self._adjoint.rows, self._adjoint.columns)
@@ -216,14 +241,20 @@ class ContextBuilder:
         self._scouts, self._pilots, self._parts = scouts, pilots, None
 
 
+NAMES = tuple(CANDIDATES)
+
+
 def _rows(pilots: list[Pilot]) -> NDArray[np.float64]:
-    """[n, 7]: all that pilots say but their names."""
-    return np.array([astuple(pilot)[1:] for pilot in pilots], np.float64)
+    """[n, 8]: all that pilots say, candidates by number."""
+    return np.array([(NAMES.index(pilot.name), *astuple(pilot)[1:]) for pilot in pilots], np.float64)
 
 
-def _pilot(name: str, row: NDArray[np.float64]) -> Pilot:
-    variance, error, mean, mean_error, microseconds, samples, rival = (float(number) for number in row)
-    return Pilot(name, variance, error, mean, mean_error, microseconds, int(samples), rival)
+def _pilots(rows: NDArray[np.float64]) -> list[Pilot]:
+    """What :func:`_rows` gave."""
+    found = []
+    for number, variance, error, mean, mean_error, microseconds, samples, rival in rows.tolist():
+        found.append(Pilot(NAMES[int(number)], variance, error, mean, mean_error, microseconds, int(samples), rival))
+    return found
 
 
 def start_density(context: GlobalContext, emission: Emission) -> StartDensity:

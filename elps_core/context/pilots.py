@@ -132,11 +132,11 @@ class PilotRunner:
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(camera.size.x), height / int(camera.size.y)])
 
-    def run(self, name: str, others: Iterable[Pilot] = (), *, scout: bool = False) -> Pilot:
+    def run(self, name: str, others: Iterable[Pilot] = (), *, scout: bool = False, most: int | None = None) -> Pilot:
         """Measure the candidate ``name``, by samples of their own and fewer if it is a ``scout``.
 
-        With as many samples as that one of the ``others`` had that makes the same eye paths; a scout that is far behind
-        one of them with the fewest.
+        In ``most`` blocks of them at most, if that is given. With as many samples as that one of the ``others`` had
+        that makes the same eye paths; a scout that is far behind one of them with the fewest.
         """
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
@@ -145,7 +145,7 @@ class PilotRunner:
         limit = SCOUTING if scout else SECONDS
         others = tuple(others)
         twin = next((pilot for pilot in others if pilot.name == TWINS.get(name)), None)
-        least, most = (twin.samples // BLOCK,) * 2 if twin else (LEAST, MOST)
+        least, most = (twin.samples // BLOCK,) * 2 if twin else (LEAST, most or MOST)
         best = max((pilot.efficiency for pilot in others), default=0.0) if scout else 0.0
         found: list[_Block] = []
         seconds: list[float] = []

@@ -79,6 +79,9 @@ FED = 1000.0
 TRAINING_NOISE = 2.0
 """Noise of a path, over its pixel, that roulette assumes: less than there is, so that it ends few paths by tables that
 still change."""
+MOST, NOISY = 0.5, 1.0
+"""Part of the pixels, and noise of a path over its pixel: where less of them is lit, paths do not know enough to be
+compared, and where they have less noise, they do well."""
 LINES = 1 << 19
 """Random lines by which areas are measured."""
 
@@ -127,6 +130,11 @@ class TableBuilder:
     def filled(self) -> int:
         """Steps of filling taken."""
         return max(0, self._made.done - (1 + CLUSTER_STEPS if self.knows_nothing else 0))
+
+    @property
+    def finds_noise(self) -> bool:
+        """Whether paths have found light in most pixels, and in most of these more noise than light."""
+        return self._made.pilot.lit() > MOST and self._made.pilot.noise() > NOISY
 
     def stop(self) -> None:
         """Take no more steps: the tables are good enough, or not worth it. Once filling has begun."""

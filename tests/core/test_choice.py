@@ -16,6 +16,8 @@ from elps_core.choice import (
     DECIDED,
     ENLIGHTENED,
     EYE_PATHS,
+    FAR_AHEAD,
+    FIRST_SCOUTS,
     HOPELESS,
     JOINED,
     JOINS,
@@ -28,6 +30,7 @@ from elps_core.choice import (
     RIVALS_FALL,
     SCOUTS,
     SLOWEST,
+    SURE,
     TOLD_APART,
     WHOLE_TRAINING,
     WITH_CAUSTICS,
@@ -35,6 +38,7 @@ from elps_core.choice import (
     Pilot,
     candidate,
     choose,
+    far_ahead,
     fit_candidates,
     next_scout,
     together,
@@ -218,6 +222,29 @@ def clear(**efficiencies: float) -> list[Pilot]:
 )
 def test_training_stops_where_a_plain_one_is_ahead(efficiencies: dict[str, float], wins: bool) -> None:
     assert unguided_wins(clear(**efficiencies)) is wins
+
+
+@pytest.mark.parametrize(
+    ("efficiencies", "ahead"),
+    [
+        ({"bp": 1.01 * FAR_AHEAD}, True),
+        ({"bp": 0.99 * FAR_AHEAD}, False),
+        ({"bp": 9.0, "plbc": 9.0 / FAR_AHEAD + 0.1}, False),
+        ({"bp": 9.0, "beu": 9.0 / FAR_AHEAD + 0.1}, False),
+    ],
+)
+def test_tables_are_given_up_early_where_joined_subpaths_are_far_ahead(
+    efficiencies: dict[str, float], ahead: bool
+) -> None:
+    first = [pilot for pilot in clear(**efficiencies) if pilot.name in FIRST_SCOUTS]
+    assert far_ahead(first) is ahead
+    joined, others = next(p for p in first if p.name == "bdpt, plain"), [p for p in first if p.name != "bdpt, plain"]
+    assert far_ahead([joined])  # Of those that were asked so far
+    assert not far_ahead(others)
+    # One rare event of theirs is no reason to go on, and with many of them they are not sure of anything.
+    rare = replace(joined, variance=3.0 * joined.variance, error=2.0 * joined.variance)
+    assert far_ahead([rare, *others]) is ahead
+    assert not far_ahead([replace(joined, variance=SURE), *(replace(p, variance=1e9) for p in others)])
 
 
 @pytest.mark.parametrize("guided", ["pe", "beu"])

@@ -139,3 +139,24 @@ def test_the_context_suits_the_time(stop: dict[str, Any], paths: int) -> None:
     assert suited(fixed, StopCriterion(**stop)) == fixed
     plain = RenderSettings()
     assert suited(plain, StopCriterion(**stop)) == plain
+
+
+@pytest.mark.parametrize(
+    ("settings", "thorough"),
+    [
+        ({"integrator": "path"}, True),
+        ({"integrator": "light"}, True),
+        ({"integrator": "bdpt", "bdpt": {"joins": False}}, True),
+        ({"integrator": "pssmlt", "pssmlt": {"over": "path"}}, True),
+        ({"integrator": "bdpt"}, False),
+        ({"integrator": "pssmlt"}, False),
+        ({"integrator": "auto"}, False),
+        ({"integrator": "path", "direction_sampling": "scattering"}, False),
+        ({"integrator": "path", "context": {"adaptive": False}}, False),
+    ],
+)
+def test_what_keeps_to_tables_has_them_filled_to_the_end(settings: dict[str, Any], thorough: bool) -> None:
+    asked = RenderSettings.model_validate({"direction_sampling": "context", "roulette": "context"} | settings)
+    assert suited(asked, StopCriterion(samples=4)).context.thorough is thorough
+    fixed = with_overrides(asked, {"context.paths": 4096})
+    assert suited(fixed, StopCriterion(samples=4)) == with_overrides(fixed, {"context.thorough": thorough})

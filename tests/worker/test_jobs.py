@@ -26,7 +26,7 @@ from worker.farm import Farm
 from worker.models import Event, SceneRecord
 from worker.parts import Parts
 from worker.settings import FarmSettings
-from worker.store import chunk_key
+from worker.store import chunk_key, name
 
 Hire = Callable[[], subprocess.Popen[bytes]]
 
@@ -171,6 +171,39 @@ def test_cancel_keeps_all_that_was_rendered(farm: Farm, scene: SceneRecord, hire
     assert ended is not None
     assert (ended.state, ended.chunks_running) == ("cancelled", 0)
     assert ended.chunks_done >= cancelled.chunks_done
+
+
+@pytest.mark.parametrize("thorough", [True, False])
+def test_tables_filled_to_the_end_serve_all(farm: Farm, parts: Parts, scene: SceneRecord, thorough: bool) -> None:
+    tables = SMALL_CONTEXT.model_copy(update={"regions": 16, "paths": 4096})
+    auto = RenderSettings(integrator="auto", width=32, height=32, max_depth=4, context=tables)
+    path = auto.model_copy(update={"integrator": "path", "direction_sampling": "context"})
+    first = farm.submit(scene.digest, auto, SHORT)
+    waiting = farm.submit(scene.digest, path, SHORT)
+    assert waiting.context_digest != first.context_digest  # Nobody knows yet whether that one will be filled
+    farm.cancel(waiting.id)
+    record = farm.context(first.context_digest or "")
+    assert record is not None
+    built = record.model_copy(update={"state": "ready", "statistics": {"thorough": thorough}})
+    parts.store.put(f"contexts/{name(built.digest)}.json", built.model_dump_json().encode())
+    named = [
+        farm.submit(scene.digest, path.model_copy(update={"seed": 1, "max_depth": depth}), SHORT) for depth in (3, 4)
+    ]
+    assert [job.context_hit for job in named] == 2 * [thorough]
+    assert {job.context_digest == first.context_digest for job in named} == {thorough}
+    assert {job.settings.context.thorough for job in named} == {not thorough}
+
+
+def test_tables_that_will_be_filled_serve_those_who_do_not_ask(farm: Farm, scene: SceneRecord) -> None:
+    tables = SMALL_CONTEXT.model_copy(update={"regions": 16, "paths": 4096})
+    path = RenderSettings(
+        integrator="path", direction_sampling="context", width=32, height=32, max_depth=4, context=tables
+    )
+    first = farm.submit(scene.digest, path, SHORT)
+    auto = farm.submit(scene.digest, path.model_copy(update={"integrator": "auto"}), SHORT)
+    assert auto.context_digest == first.context_digest
+    assert auto.context_hit is False
+    assert first.settings.context.thorough
 
 
 def test_seconds_end_a_job_near_its_time(farm: Farm, scene: SceneRecord, hire: Hire) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elps_core.choice import CANDIDATES, PILOTS, SCOUTS, TWINS, WITH_CAUSTICS, Pilot, candidate, choose
+from elps_core.choice import CANDIDATES, FIRST_SCOUTS, PILOTS, SCOUTS, TWINS, WITH_CAUSTICS, Pilot, candidate, choose
 from elps_core.context.store import GlobalContext
 from elps_core.scene.generate import cornell, write
 from elps_core.scene.loader import LoadedScene, load_scene
@@ -101,6 +101,39 @@ def test_training_stops_where_scouts_see_that_tables_do_not_pay(
         assert set(SCOUTS[:3]) <= {pilot.name for pilot in pilots} <= set(SCOUTS) - {WITH_CAUSTICS}
     best = choose(RenderSettings(integrator="auto"), statistics).name
     assert best in {pilot.name for pilot in pilots}
+
+
+@pytest.mark.parametrize(
+    ("noisy", "ahead", "thorough", "steps"),
+    [(True, True, False, 2), (False, True, False, 5), (True, False, False, 5), (True, True, True, 5)],
+    ids=["far ahead", "little noise", "not far ahead", "to the end all the same"],
+)
+def test_training_may_stop_after_its_first_steps(
+    box: LoadedScene, noisy: bool, ahead: bool, thorough: bool, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from elps_core.context import build, pilots
+    from elps_core.context.build import ContextBuilder
+    from elps_core.context.plan import FIRST_PATHS
+    from elps_core.context.tables import TableBuilder
+
+    monkeypatch.setattr(pilots, "MOST", pilots.LEAST)
+    monkeypatch.setattr(TableBuilder, "finds_noise", noisy)
+    monkeypatch.setattr(build, "far_ahead", lambda scouts: ahead)
+    monkeypatch.setattr(build, "unguided_wins", lambda scouts: len(scouts) == len(FIRST_SCOUTS))
+    monkeypatch.setattr(build, "worth_measuring", lambda candidates, scouts, pilots: [p.name for p in pilots])
+    settings = SETTINGS.model_copy(update={"paths": FIRST_PATHS * 31, "thorough": thorough})
+    builder = ContextBuilder(box, settings)
+    while builder.done < builder.steps:
+        saved, done = builder.to_bytes(), builder.done
+        builder = ContextBuilder(box, settings)
+        builder.restore(saved)
+        assert builder.done == done
+        builder.step()
+    statistics = builder.result().statistics
+    assert statistics["table_paths"] == FIRST_PATHS * (2**steps - 1)
+    assert statistics["thorough"] is (steps == 5)
+    known = [entry["name"] for entry in statistics[PILOTS]]
+    assert known == list(FIRST_SCOUTS) if steps == 2 else not thorough or not known
 
 
 @pytest.mark.parametrize(
