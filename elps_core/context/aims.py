@@ -151,28 +151,33 @@ def _by_group(photons: Photons, of_group: NDArray[np.int64], count: int) -> tupl
 
 def _fitted(x: Doubles, line: Doubles, from_glass: Doubles, weight: Doubles) -> tuple[Doubles, Doubles, Doubles]:
     """As of :func:`_lobes`, for photons [groups, n, 3] of ``weight`` [groups, n], of sum 1."""
+    line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), TINY)
+    across = np.eye(3) - line[..., :, None] * line[..., None, :]
+    # Of each photon: what is across its line, its place across the line, and where it left the glass.
+    moments = np.concatenate([across.reshape(*weight.shape, 9), (across @ x[..., None])[..., 0], from_glass], axis=-1)
     part = _seeds(line, weight)
     for _ in range(STEPS):
-        mass = part.sum(axis=1)
-        points = _meeting(x, line, from_glass, part)
-        towards = points[:, None] - x[:, :, None]
-        far = np.maximum(np.linalg.norm(towards, axis=-1), TINY)  # [groups, n, POINTS]
-        off = np.square(towards / far[..., None] - line[:, :, None]).sum(axis=-1)  # Angle, squared
+        mass = part.sum(axis=-1)
+        points = _meeting(part @ moments, mass)
+        towards = [points[..., axis, None] - x[:, None, :, axis] for axis in range(3)]  # [groups, POINTS, n] each
+        far = np.maximum(np.sqrt(sum(np.square(along) for along in towards)), TINY)
+        # Angle, squared
+        off = 2.0 - 2.0 * sum(along * line[:, None, :, axis] for axis, along in enumerate(towards)) / far
         each = np.maximum(mass, TINY)
-        mean = np.einsum("gnm,gnm->gm", part, far) / each
-        spread = np.einsum("gnm,gnm->gm", part, 0.5 * off * np.square(far)) / each
-        records = np.square(each) / np.maximum(np.square(part).sum(axis=1), TINY**2)
+        mean = (part * far).sum(axis=-1) / each
+        spread = 0.5 * (part * off * np.square(far)).sum(axis=-1) / each
+        records = np.square(each) / np.maximum(np.square(part).sum(axis=-1), TINY**2)
         known = spread * records + PRIOR * np.square(USUAL_SPREAD * mean)
         squared = np.maximum(known / (records + PRIOR), TINY)
-        sharp = np.square(far) / squared[:, None]
-        log = np.log(np.maximum(mass[:, None] * sharp, 1e-300)) - 0.5 * sharp * off
-        part = np.exp(log - log.max(axis=-1, keepdims=True))
-        part *= weight[..., None] / part.sum(axis=-1, keepdims=True)
+        sharp = np.square(far) / squared[..., None]
+        log = np.log(np.maximum(mass[..., None] * sharp, 1e-300)) - 0.5 * sharp * off
+        part = np.exp(log - log.max(axis=1, keepdims=True))
+        part *= weight[:, None] / part.sum(axis=1, keepdims=True)
     return np.concatenate([points, squared[..., None]], axis=-1), mass, np.maximum(mean, TINY)
 
 
 def _seeds(line: Doubles, weight: Doubles) -> Doubles:
-    """Whose photons are whose at first [groups, n, POINTS]: by directions that are far from each other."""
+    """Whose photons are whose at first [groups, POINTS, n]: by directions that are far from each other."""
     group = np.arange(len(line))
     chosen = weight.argmax(axis=1)
     apart = [np.square(line - line[group, chosen][:, None]).sum(axis=-1)]
@@ -180,18 +185,13 @@ def _seeds(line: Doubles, weight: Doubles) -> Doubles:
         chosen = (np.min(apart, axis=0) * weight).argmax(axis=1)
         apart.append(np.square(line - line[group, chosen][:, None]).sum(axis=-1))
     nearest = np.argmin(apart, axis=0)
-    found: Doubles = weight[..., None] * (nearest[..., None] == np.arange(POINTS))
+    found: Doubles = weight[:, None] * (nearest[:, None] == np.arange(POINTS)[:, None])
     return found
 
 
-def _meeting(x: Doubles, line: Doubles, from_glass: Doubles, part: Doubles) -> Doubles:
-    """Points [groups, POINTS, 3] that lines pass by next, each counting as ``part`` [groups, n, POINTS] says."""
-    across = np.eye(3) - line[..., :, None] * line[..., None, :]
-    left = np.einsum("gnm,gnij->gmij", part, across)
-    right = np.einsum("gnm,gnij,gnj->gmi", part, across, x)
-    total = part.sum(axis=1)
-    pull = ON_THE_GLASS * total + 1e-30
-    left += pull[..., None, None] * np.eye(3)
-    right += ON_THE_GLASS * np.einsum("gnm,gni->gmi", part, from_glass)
-    found: Doubles = np.linalg.solve(left, right[..., None])[..., 0]
+def _meeting(moments: Doubles, mass: Doubles) -> Doubles:
+    """Points [groups, POINTS, 3] that lines pass by next, by the moments [groups, POINTS, 15] and the mass of all."""
+    left, right, glass = moments[..., :9].reshape(*mass.shape, 3, 3), moments[..., 9:12], moments[..., 12:]
+    pull = (ON_THE_GLASS * mass + 1e-30)[..., None, None] * np.eye(3)
+    found: Doubles = np.linalg.solve(left + pull, (right + ON_THE_GLASS * glass)[..., None])[..., 0]
     return found

@@ -28,7 +28,7 @@ from elps_core.choice import (
 )
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
-from elps_core.context.pilots import LEAST, PilotRunner
+from elps_core.context.pilots import PilotRunner
 from elps_core.context.saved import UNFIT
 from elps_core.context.store import DirectionalParts, GlobalContext
 from elps_core.context.tables import TableBuilder
@@ -134,7 +134,7 @@ class ContextBuilder:
         parts, scouts = tables.result(), list[Pilot]()
         runner = self._runner(parts, lights)
         for name in FIRST_SCOUTS:
-            scouts.append(runner.run(name, scouts, scout=True, most=LEAST))
+            scouts.append(runner.run(name, scouts, scout=True, brief=True))
             if not far_ahead(scouts):
                 return False
         if not unguided_wins(scouts):

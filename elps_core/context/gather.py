@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from elps_core.context.saved import DENSITY_SIDE
 from elps_core.errors import SceneRejected
 from elps_core.particles.bidirectional import BidirectionalSampler
-from elps_core.particles.caustics import BATCH, CausticSampler
+from elps_core.particles.caustics import CausticSampler
 from elps_core.particles.classical import ClassicalSampler
 from elps_core.particles.metropolis import MetropolisSampler
 from elps_core.particles.records import IMPORTON, PHOTON, Particles, ParticleSampler, Worth, everywhere
@@ -34,7 +34,7 @@ CAUSTIC_PHOTONS, MORE_PATHS, FEWER_FOR_REGIONS = 1 << 15, 8, 4
 door to the next room ajar by 3 degrees, 3000 photons taught tables little of what the ball of glass brings to the table
 under it, and that was 104 of a second moment of 383 and 225 of 553; with 27000 it was 44 of 359 and 15 of 504. With
 eight times as many for the regions it was 0 to 34, but these leave fewer regions to the rest."""
-TRIAL = 0xFFFF
+TRIAL, TRIAL_PATHS = 0xFFFF, 1 << 16
 """Keeps the random numbers of the paths that tell how many are needed apart."""
 CAUSTIC_PART = 0.25
 """Photons that they bring, at most, for each other particle that regions are made from. Under a ball of glass every
@@ -118,7 +118,7 @@ def caustics(scene: mi.Scene, settings: ContextSettings, lights: StartDensity, p
     """Batches of photons that mirrors and glass have brought; none in scenes without."""
     key = (settings.seed, STREAM, purpose)
     paths = (2 if purpose == AIMED_FOR_TABLES else 1) * CAUSTIC_PATHS
-    trial = CausticSampler(scene, lights, max_depth=settings.max_depth, paths=min(BATCH, paths))
+    trial = CausticSampler(scene, lights, max_depth=settings.max_depth, paths=TRIAL_PATHS)
     found = sum(len(photons) for photons in trial.run((*key, TRIAL)))
     if not found:
         return iter(())

@@ -132,11 +132,11 @@ class PilotRunner:
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(camera.size.x), height / int(camera.size.y)])
 
-    def run(self, name: str, others: Iterable[Pilot] = (), *, scout: bool = False, most: int | None = None) -> Pilot:
+    def run(self, name: str, others: Iterable[Pilot] = (), *, scout: bool = False, brief: bool = False) -> Pilot:
         """Measure the candidate ``name``, by samples of their own and fewer if it is a ``scout``.
 
-        In ``most`` blocks of them at most, if that is given. With as many samples as that one of the ``others`` had
-        that makes the same eye paths; a scout that is far behind one of them with the fewest.
+        With as many samples as that one of the ``others`` had that makes the same eye paths; a scout that is far behind
+        one of them with the fewest, and so one that is to be ``brief``, which says nothing of rivals.
         """
         settings = candidate(self._settings, name)
         bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
@@ -145,7 +145,7 @@ class PilotRunner:
         limit = SCOUTING if scout else SECONDS
         others = tuple(others)
         twin = next((pilot for pilot in others if pilot.name == TWINS.get(name)), None)
-        least, most = (twin.samples // BLOCK,) * 2 if twin else (LEAST, most or MOST)
+        least, most = (twin.samples // BLOCK,) * 2 if twin else (LEAST, LEAST if brief else MOST)
         best = max((pilot.efficiency for pilot in others), default=0.0) if scout else 0.0
         found: list[_Block] = []
         seconds: list[float] = []
@@ -161,7 +161,7 @@ class PilotRunner:
                 so_far = _said(name, found, seconds)
                 if BEHIND * replace(so_far, variance=so_far.variance - so_far.error).efficiency < best:
                     break
-        rival = self._rival(bdpt, (*key, RIVAL)) if name == WITH_CAUSTICS else 0.0
+        rival = self._rival(bdpt, (*key, RIVAL)) if name == WITH_CAUSTICS and not brief else 0.0
         return replace(_said(name, found, seconds), rival=rival)
 
     def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> _Block:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from elps_core.context.store import load, save
 from elps_core.io.exr import read_exr
 
 CONTRACT = {"seconds_total", "seconds_context", "seconds_compile", "spp", "context", "relative_error", "output"} | {
@@ -68,6 +70,23 @@ def test_a_context_file_is_made_once_and_used_again(maze: Path, tmp_path: Path) 
     # The same samples with the same context: the same image.
     images = [read_exr(tmp_path / name)[0]["image"] for name in ("a.exr", "b.exr")]
     assert np.allclose(images[0], images[1], rtol=1e-3, atol=1e-4)
+
+
+def test_tables_that_were_not_filled_to_the_end_are_told_of(maze: Path, tmp_path: Path) -> None:
+    context, output = tmp_path / "maze.context", str(tmp_path / "a.exr")
+    small = ["--spp", "1", "--context", str(context), "--max-depth", "3"]
+    for setting in ("resolution=8", "samples_per_cell=4", "regions=16", "rows=4", "columns=8", "paths=4096"):
+        small += ["--set", f"context.{setting}"]
+    render(maze, tmp_path / "a.exr", *small, "--integrator", "auto")
+    built = load(context)
+    assert built.statistics["thorough"] is True
+    command = ["render", str(maze), "-o", output, "--size", "32x24", *small, "--direction-sampling", "context"]
+    for thorough in (True, False):
+        save(replace(built, statistics=built.statistics | {"thorough": thorough}), context)
+        for integrator, keeps in (("path", True), ("bdpt", False)):
+            done = elps(*command, "--integrator", integrator)
+            assert done.returncode == 0, done.stderr
+            assert ("not filled to the end" in done.stderr) is (keeps and not thorough)
 
 
 def test_seconds_count_everything(maze: Path, tmp_path: Path) -> None:
