@@ -13,23 +13,22 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from elps_core.choice import (
-    CANDIDATES,
-    FIRST_SCOUTS,
-    PILOTS,
-    SCOUTS,
-    Pilot,
-    far_ahead,
-    fit_candidates,
-    next_scout,
-    together,
-    unguided_wins,
-    worth_measuring,
-)
+from elps_core.choice import CANDIDATES, PILOTS, Pilot, fit_candidates, together
 from elps_core.context import adjoint
 from elps_core.context.adjoint import AdjointMeasurement
 from elps_core.context.pilots import PilotRunner
 from elps_core.context.saved import UNFIT
+from elps_core.context.scouting import (
+    FIRST_SCOUTS,
+    SCOUTS,
+    brought_up,
+    falls_short,
+    far_ahead,
+    next_scout,
+    to_compare_again,
+    unguided_wins,
+    worth_measuring,
+)
 from elps_core.context.store import DirectionalParts, GlobalContext
 from elps_core.context.tables import TableBuilder
 from elps_core.errors import ContextMismatch
@@ -60,6 +59,7 @@ class ContextBuilder:
         self._candidates = fit_candidates(scene.summary, settings) if settings.regions and settings.adaptive else []
         self._scouts: list[Pilot] = []
         self._pilots: list[Pilot] = []
+        self._stopped = False
         self._parts: DirectionalParts | None = None
         self._seconds = 0.0
         self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings)
@@ -82,7 +82,7 @@ class ContextBuilder:
     @property
     def _measured(self) -> list[str]:
         """Candidates of which there are pilots in the end, or will be."""
-        return worth_measuring(self._candidates, self._scouts, self._pilots)
+        return worth_measuring(self._candidates, self._scouts, self._pilots, stopped=self._stopped)
 
     def begin_from(self, other: GlobalContext) -> bool:
         """Take over what a context of the same surroundings and settings knows of light; whether it was of use.
@@ -115,33 +115,16 @@ class ContextBuilder:
                 measured.image(), measured.emission, self._settings.epsilon, self._settings.exponent
             )
             lights = StartDensity(measured.emission, table)
-            scouted = self._tables.filled if self._scouting and not self._scouts else 0
-            if scouted == SCOUTED_AFTER:
+            if self._scouting and not self._scouts and self._tables.filled == SCOUTED_AFTER:
                 self._scout(self._tables, lights)
             elif self._tables.done < self._tables.steps:
-                if scouted != LOOKED_AFTER or not self._look(self._tables, lights):
+                if not self._given_up(self._tables, lights):
                     self._tables.step(lights)
             else:
                 self._parts = self._parts or self._tables.result()
                 runner = self._runner(self._parts, lights)
                 self._pilots.append(runner.run(self._measured[len(self._pilots)], self._pilots))
         self._seconds += time.perf_counter() - begin
-
-    def _look(self, tables: TableBuilder, lights: StartDensity) -> bool:
-        """Whether no more steps are needed, because joined subpaths are far ahead of what tables can do."""
-        if not tables.finds_noise or not set(FIRST_SCOUTS) <= set(self._candidates):
-            return False
-        parts, scouts = tables.result(), list[Pilot]()
-        runner = self._runner(parts, lights)
-        for name in FIRST_SCOUTS:
-            scouts.append(runner.run(name, scouts, scout=True, brief=True))
-            if not far_ahead(scouts):
-                return False
-        if not unguided_wins(scouts):
-            return False
-        tables.stop()
-        self._scouts, self._parts = scouts, parts
-        return True
 
     def _scout(self, tables: TableBuilder, lights: StartDensity) -> None:
         """Compare a few candidates by the tables so far; no more steps for these where a plain one will be better."""
@@ -150,8 +133,40 @@ class ContextBuilder:
         while (name := next_scout(self._candidates, self._scouts)) is not None:
             self._scouts.append(runner.run(name, self._scouts, scout=True))
         if unguided_wins(self._scouts):
-            tables.stop()
-            self._parts = parts
+            self._stop(tables, parts)
+
+    def _given_up(self, tables: TableBuilder, lights: StartDensity) -> bool:
+        """Whether a step before all scouts, or one after them, it is clear that tables will not pay."""
+        if self._scouting and not self._scouts and tables.filled == LOOKED_AFTER:
+            return tables.finds_noise and set(FIRST_SCOUTS) <= set(self._candidates) and self._look(tables, lights)
+        again = to_compare_again(self._scouts) if self._scouting and tables.filled == SCOUTED_AFTER + 1 else []
+        if not again:
+            return False
+        parts, after = tables.result(), list[Pilot]()
+        runner = self._runner(parts, lights)
+        for name in again:
+            after.append(runner.run(name, after, scout=True))
+        if falls_short(self._scouts, after, tables.doublings_left):
+            self._scouts = brought_up(self._scouts, after)
+            self._stop(tables, parts)
+        return self._stopped
+
+    def _look(self, tables: TableBuilder, lights: StartDensity) -> bool:
+        """Whether joined subpaths are far ahead of what tables can do."""
+        parts, scouts = tables.result(), list[Pilot]()
+        runner = self._runner(parts, lights)
+        for name in FIRST_SCOUTS:
+            scouts.append(runner.run(name, scouts, scout=True, brief=True))
+            if not far_ahead(scouts):
+                return False
+        self._scouts = scouts
+        self._stop(tables, parts)
+        return True
+
+    def _stop(self, tables: TableBuilder, parts: DirectionalParts) -> None:
+        """Fill tables no further."""
+        tables.stop()
+        self._stopped, self._parts = True, parts
 
     def _runner(self, parts: DirectionalParts, lights: StartDensity) -> PilotRunner:
         return PilotRunner(self._scene.scene, Camera(self._scene.sensor), lights, parts, self._settings)
@@ -184,7 +199,7 @@ class ContextBuilder:
                 "table_error": tables.relative_error(),
                 "records": int(parts.radiance.evidence.sum()),
                 "median_records": float(np.median(parts.radiance.evidence)),
-                "thorough": not (self._scouts and unguided_wins(self._scouts)),
+                "thorough": not self._stopped,
             }
         if self._candidates:
             statistics[PILOTS] = [asdict(pilot) for pilot in together(self._scouts, self._pilots)]
@@ -210,7 +225,7 @@ class ContextBuilder:
         if self._pilots:
             parts["pilots"] = _rows(self._pilots)
         if self._scouts:
-            parts["scouts"] = _rows(self._scouts)
+            parts |= {"scouts": _rows(self._scouts), "stopped": np.array([self._stopped])}
         return save_tensors({name: np.ascontiguousarray(array) for name, array in parts.items()})
 
     def restore(self, data: bytes) -> None:
@@ -222,6 +237,7 @@ class ContextBuilder:
         try:
             record = load_tensors(data)
             batches, seconds = record["batches"], float(record["seconds"][0])
+            stopped = bool(record["stopped"][0]) if "stopped" in record else False
             scouts, pilots = (_pilots(record[name]) if name in record else [] for name in ("scouts", "pilots"))
         except (SafetensorError, KeyError, IndexError, TypeError, ValueError):
             raise ContextMismatch(UNFIT) from None
@@ -238,7 +254,7 @@ class ContextBuilder:
             kept = {name.removeprefix(prefix): part for name, part in record.items() if name.startswith(prefix)}
             self._tables.restore(kept)
         self._adjoint.batches, self._seconds = batches, seconds
-        self._scouts, self._pilots, self._parts = scouts, pilots, None
+        self._scouts, self._pilots, self._parts, self._stopped = scouts, pilots, None, stopped
 
 
 NAMES = tuple(CANDIDATES)

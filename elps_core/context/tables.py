@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -79,7 +80,7 @@ FED = 1000.0
 TRAINING_NOISE = 2.0
 """Noise of a path, over its pixel, that roulette assumes: less than there is, so that it ends few paths by tables that
 still change."""
-MOST, NOISY = 0.5, 1.0
+MOST, NOISY = 0.5, 1.2
 """Part of the pixels, and noise of a path over its pixel: where less of them is lit, paths do not know enough to be
 compared, and where they have less noise, they do well."""
 LINES = 1 << 19
@@ -157,6 +158,11 @@ class TableBuilder:
     def paths(self) -> int:
         """Paths traced for the tables."""
         return self._made.paths
+
+    @property
+    def doublings_left(self) -> float:
+        """How many times the number of paths will double, if all are traced."""
+        return max(0.0, math.log2(self._paths / max(self._made.paths, 1)))
 
     @property
     def particles(self) -> int:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elps_core.choice import CANDIDATES, FIRST_SCOUTS, PILOTS, SCOUTS, TWINS, WITH_CAUSTICS, Pilot, candidate, choose
+from elps_core.choice import CANDIDATES, PILOTS, TWINS, WITH_CAUSTICS, Pilot, candidate, choose
+from elps_core.context.scouting import FIRST_SCOUTS, SCOUTS
 from elps_core.context.store import GlobalContext
 from elps_core.scene.generate import cornell, write
 from elps_core.scene.loader import LoadedScene, load_scene
@@ -46,7 +47,7 @@ def context_of(box: LoadedScene) -> GlobalContext:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pilots, "LEAST", BLOCKS)
         # What a pilot says is to be true of every candidate, also of those that need none.
-        patch.setattr(build, "worth_measuring", lambda candidates, *_: candidates)
+        patch.setattr(build, "worth_measuring", lambda candidates, *_, **__: candidates)
         while builder.done < builder.steps:
             saved = builder.to_bytes()
             builder = ContextBuilder(box, SETTINGS)
@@ -67,7 +68,7 @@ def test_every_candidate_has_a_pilot(box: LoadedScene) -> None:
 def test_training_stops_where_scouts_see_that_tables_do_not_pay(
     box: LoadedScene, clear: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from elps_core import choice
+    from elps_core.context import scouting
     from elps_core.context.build import SCOUTED_AFTER, ContextBuilder
     from elps_core.context.pilots import PilotRunner
     from elps_core.context.plan import FIRST_PATHS
@@ -80,8 +81,8 @@ def test_training_stops_where_scouts_see_that_tables_do_not_pay(
 
     monkeypatch.setattr(PilotRunner, "run", timed)
     # Whatever tables have won, they win nothing again; or nothing is clear.
-    monkeypatch.setattr(choice, "MOST_GAIN", 1e-9)
-    monkeypatch.setattr(choice, "CLEAR", clear)
+    monkeypatch.setattr(scouting, "MOST_GAIN", 1e-9)
+    monkeypatch.setattr(scouting, "CLEAR", clear)
     settings = SETTINGS.model_copy(update={"paths": 1 << 19})
     builder, most = ContextBuilder(box, settings), 0
     while builder.done < builder.steps:
@@ -104,12 +105,18 @@ def test_training_stops_where_scouts_see_that_tables_do_not_pay(
 
 
 @pytest.mark.parametrize(
-    ("noisy", "ahead", "thorough", "steps"),
-    [(True, True, False, 2), (False, True, False, 5), (True, False, False, 5), (True, True, True, 5)],
-    ids=["far ahead", "little noise", "not far ahead", "to the end all the same"],
+    ("noisy", "ahead", "short", "thorough", "steps"),
+    [
+        (True, True, True, False, 2),
+        (False, True, True, False, 4),
+        (True, False, True, False, 4),
+        (True, False, False, False, 5),
+        (True, True, True, True, 5),
+    ],
+    ids=["far ahead", "little noise", "little won", "much won", "to the end all the same"],
 )
-def test_training_may_stop_after_its_first_steps(
-    box: LoadedScene, noisy: bool, ahead: bool, thorough: bool, steps: int, monkeypatch: pytest.MonkeyPatch
+def test_training_may_stop_before_and_after_its_scouts(
+    box: LoadedScene, noisy: bool, ahead: bool, short: bool, thorough: bool, steps: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from elps_core.context import build, pilots
     from elps_core.context.build import ContextBuilder
@@ -119,8 +126,10 @@ def test_training_may_stop_after_its_first_steps(
     monkeypatch.setattr(pilots, "MOST", pilots.LEAST)
     monkeypatch.setattr(TableBuilder, "finds_noise", noisy)
     monkeypatch.setattr(build, "far_ahead", lambda scouts: ahead)
-    monkeypatch.setattr(build, "unguided_wins", lambda scouts: len(scouts) == len(FIRST_SCOUTS))
-    monkeypatch.setattr(build, "worth_measuring", lambda candidates, scouts, pilots: [p.name for p in pilots])
+    monkeypatch.setattr(build, "unguided_wins", lambda scouts: False)
+    monkeypatch.setattr(build, "to_compare_again", lambda scouts: ["bdpt, plain", "path, enlightened"])
+    monkeypatch.setattr(build, "falls_short", lambda before, after, doublings: short and 1.0 < doublings < 1.1)
+    monkeypatch.setattr(build, "worth_measuring", lambda candidates, scouts, pilots, stopped: [p.name for p in pilots])
     settings = SETTINGS.model_copy(update={"paths": FIRST_PATHS * 31, "thorough": thorough})
     builder = ContextBuilder(box, settings)
     while builder.done < builder.steps:
@@ -133,7 +142,13 @@ def test_training_may_stop_after_its_first_steps(
     assert statistics["table_paths"] == FIRST_PATHS * (2**steps - 1)
     assert statistics["thorough"] is (steps == 5)
     known = [entry["name"] for entry in statistics[PILOTS]]
-    assert known == list(FIRST_SCOUTS) if steps == 2 else not thorough or not known
+    if steps == 2:
+        assert known == list(FIRST_SCOUTS)
+    elif steps == 4:
+        assert known[:2] == ["bdpt, plain", "path, enlightened"]
+        assert len(set(known)) == len(known) > 2
+    else:
+        assert bool(known) is not thorough
 
 
 @pytest.mark.parametrize(
