@@ -258,6 +258,7 @@ class ContextBuilder:
 
 
 NAMES = tuple(CANDIDATES)
+"""Of candidates, by their number in a saved state."""
 
 
 def _rows(pilots: list[Pilot]) -> NDArray[np.float64]:
