@@ -117,7 +117,8 @@ def falls_short(before: Iterable[Pilot], after: Iterable[Pilot], doublings: floa
     image = max(plain.variance, LEAST) / was[plain.name]
     for pilot in guided:
         won = image * was[pilot.name] / max(pilot.variance, LEAST)
-        if (1.0 - WHOLE_TRAINING) * pilot.efficiency * max(won, 1.0) ** doublings > plain.efficiency:
+        each = min(max(won, 1.0), CLEAR)  # Bounded, so that its powers are floats
+        if (1.0 - WHOLE_TRAINING) * pilot.efficiency * each**doublings > plain.efficiency:
             return False
     return plain.variance < CLEAR
 

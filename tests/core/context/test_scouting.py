@@ -289,6 +289,8 @@ def test_what_a_step_has_won_tells_what_is_left_to_win(doublings: float, image: 
         assert falls_short(lost, after, doublings)
         hard = [replace(pilot, variance=CLEAR / image * pilot.variance) for pilot in after]
         assert not falls_short(before, hard, 0.0)
+        found = [after[0], replace(after[1], variance=0.0)]
+        assert not falls_short([replace(before[0], variance=1e30), before[1]], found, 8.0)
 
 
 def test_scouts_that_are_not_asked_again_speak_of_the_same_image() -> None:
