@@ -190,7 +190,10 @@ def _seeds(line: Doubles, weight: Doubles) -> Doubles:
 
 
 def _meeting(moments: Doubles, mass: Doubles) -> Doubles:
-    """Points [groups, POINTS, 3] that lines pass by next, by the moments [groups, POINTS, 15] and the mass of all."""
+    """Points [groups, POINTS, 3] that lines pass by next, by the sums of photons' moments [groups, POINTS, 15].
+
+    Each photon counts by its part in a point, whose parts are ``mass`` [groups, POINTS] together.
+    """
     left, right, glass = moments[..., :9].reshape(*mass.shape, 3, 3), moments[..., 9:12], moments[..., 12:]
     pull = (ON_THE_GLASS * mass + 1e-30)[..., None, None] * np.eye(3)
     return np.asarray(np.linalg.solve(left + pull, (right + ON_THE_GLASS * glass)[..., None])[..., 0], np.float64)

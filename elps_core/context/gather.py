@@ -35,7 +35,7 @@ door to the next room ajar by 3 degrees, 3000 photons taught tables little of wh
 under it, and that was 104 of a second moment of 383 and 225 of 553; with 27000 it was 44 of 359 and 15 of 504. With
 eight times as many for the regions it was 0 to 34, but these leave fewer regions to the rest."""
 TRIAL, TRIAL_PATHS = 0xFFFF, 1 << 16
-"""Keeps the random numbers of the paths that tell how many are needed apart."""
+"""Keeps the random numbers of the paths that tell how many are needed apart, and how many tell it."""
 CAUSTIC_PART = 0.25
 """Photons that they bring, at most, for each other particle that regions are made from. Under a ball of glass every
 step shows the lamp in another direction, and small regions know where."""

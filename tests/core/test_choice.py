@@ -10,7 +10,6 @@ from pydantic import ValidationError
 
 from elps_core.choice import (
     CANDIDATES,
-    ENLIGHTENED,
     EYE_PATHS,
     JOINED,
     LIT_PATH,
@@ -22,6 +21,7 @@ from elps_core.choice import (
     candidate,
     choose,
     fit_candidates,
+    is_guided,
     together,
 )
 from elps_core.context.scouting import SCOUTS
@@ -195,10 +195,6 @@ def test_what_tables_have_won_they_have_won_for_paths_that_are_alike() -> None:
     assert found[LIT_PATH].efficiency == pytest.approx(1.0)
     worse = {pilot.name: pilot for pilot in together(said, [replace(said[0], variance=4.0)])}
     assert worse[WITH_CAUSTICS].efficiency == pytest.approx(3.0)
-
-
-def is_guided(name: str) -> bool:
-    return ENLIGHTENED.items() <= CANDIDATES[name].items()
 
 
 def test_scouts_speak_in_terms_of_pilots() -> None:

@@ -19,6 +19,7 @@ from elps_core.choice import (
     WITH_CAUSTICS,
     Pilot,
     choose,
+    is_guided,
     together,
 )
 from elps_core.context.scouting import (
@@ -44,7 +45,7 @@ from elps_core.context.scouting import (
     unguided_wins,
     worth_measuring,
 )
-from tests.core.test_choice import AUTO, ENTRY, is_guided, of, scouts, statistics
+from tests.core.test_choice import AUTO, ENTRY, of, scouts, statistics
 
 
 def clear(**efficiencies: float) -> list[Pilot]:
