@@ -10,22 +10,23 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.choice import choose
-from elps_core.context.build import start_density
+from elps_core.context.adjoint import density_of
+from elps_core.context.build import check_lights
 from elps_core.context.store import GlobalContext
 from elps_core.errors import ContextMismatch, RenderFailed, SettingsRejected
 from elps_core.estimate.film import Chunk
 from elps_core.estimate.schedule import chunk_spp
 from elps_core.integrators import make
 from elps_core.paths.stream import key_seed
-from elps_core.sampling.start import StartDensity, power_table, uniform_table
-from elps_core.scene.emission import Emission
 from elps_core.scene.loader import LoadedScene
+from elps_core.selection.candidates import Choice, choose, fit_candidates, plain_of
 from elps_core.settings import DEPTH_BASELINES, RenderSettings
 
 
 class Renderer:
     """Renders chunks of one image: pure functions of (settings, chunk index).
+
+    Without a context ``auto`` renders by the plain way of the scene, which needs none.
 
     Raises:
         ContextMismatch: the context does not belong to the scene, or is missing where it is needed.
@@ -35,7 +36,7 @@ class Renderer:
     def __init__(self, scene: LoadedScene, settings: RenderSettings, context: GlobalContext | None = None) -> None:
         self.scene = scene
         self.settings = settings
-        self.choice = choose(settings, context.statistics if context else None)
+        self.choice = self._choose(context)
         """What renders, of what was asked for."""
         self.size = scene.size
         self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
@@ -43,22 +44,28 @@ class Renderer:
         self._baseline = self._mitsuba_integrator() if self.frames is None else None
         self._spp = 0
 
+    def _choose(self, context: GlobalContext | None) -> Choice:
+        settings = self.settings
+        if settings.integrator == "auto" and context is None:
+            plain = plain_of(fit_candidates(self.scene.summary, settings.context))
+            return Choice(plain.settings(settings), plain.name)
+        return choose(settings, context.statistics if context else None)
+
     def _prepare(self, context: GlobalContext | None) -> make.Frames:
-        settings = self.choice.settings
-        emission = Emission(self.scene.scene)
-        if settings.needs_context:
-            if context is None:
-                raise ContextMismatch("sampling by context needs a context: build one first")
+        settings, emission = self.choice.settings, self.scene.emission
+        if context is None and self.settings.integrator != "auto" and settings.needs_context:
+            raise ContextMismatch("sampling by context needs a context: build one first")
+        parts = None
+        if context is not None and settings.needs_context:
             if context.scene != self.scene.digest:
                 raise ContextMismatch("the context belongs to another scene: build one for this scene")
             if settings.needs_tables and context.directions is None:
                 raise ContextMismatch("the context has no tables: build one with context.regions of 1 or more")
-        if context is not None and settings.light_sampling in ("adjoint", "context"):
-            lights = start_density(context, emission)
-        else:
-            table = uniform_table(emission) if settings.light_sampling == "uniform" else power_table(emission)
-            lights = StartDensity(emission, table)
-        parts = context.directions if context is not None and settings.needs_tables else None
+            parts = context.directions if settings.needs_tables else None
+        if context is not None:
+            check_lights(context, emission)
+        adjoint, measured = (context.adjoint, context.settings) if context else (None, settings.context)
+        lights = density_of(settings.light_sampling, emission, adjoint, measured)
         return make.frames(self.scene.scene, self.scene.sensor, lights, settings, parts)
 
     def _mitsuba_integrator(self) -> mi.Integrator:

@@ -38,15 +38,18 @@ MITSUBA_BASELINES = (*DEPTH_BASELINES, "direct", "depth")
 """Mitsuba integrators that may be named as ``mi_<name>``."""
 INTEGRATORS = ("auto", *BUILT_INTEGRATORS, *(f"mi_{name}" for name in MITSUBA_BASELINES))
 """All that the setting ``integrator`` takes."""
-USUAL_PATHS, USUAL_SECONDS = 2**21, 60.0
-"""Paths for the tables of a render of a minute: on two cores they take about a fifth of it."""
-LEAST_PATHS, MOST_PATHS = 2**17, 2**23
-"""Of shorter and of longer renders; with fewer, tables know too little, and with more they hardly gain."""
+USUAL_PATHS, MOST_PATHS = 2**21, 2**23
+"""Paths for the tables of a render without a limit of time, and at most: with more, tables hardly gain."""
+LONGEST = 4096.0
+"""Seconds of a job above which its context is given no more."""
+PREPARATION = 0.25
+"""Part of a job's time that preparing may take."""
 
 _STRATEGIES = re.compile(r"^(all|[0-9]{1,3},[0-9]{1,3}( [0-9]{1,3},[0-9]{1,3}){0,255})$")
 PRESETS: dict[str, dict[str, Any]] = {
     "enlightened": {"integrator": "auto"},
     "thesis": {
+        "integrator": "bdpt",
         "direction_sampling": "context",
         "table_share": 0.5,
         "roulette": "context",
@@ -103,8 +106,11 @@ class ContextSettings(_Model):
     particles: ParticleSource = "walks"
     """What fills the tables: the records that guided eye and light paths leave, or particles of one of three kinds."""
     paths: Annotated[int, Field(ge=1024, le=2**32)] | None = None
-    """Paths that are traced for the tables, of each kind, unless the tables have converged before. Absent: as many as a
-    fifth of the render's time allows on two cores, see :func:`suited`."""
+    """Paths that are traced for the tables, of each kind, unless the tables have converged before. Absent: as many as
+    the time allows, or without one as many as a render of a minute can use."""
+    seconds: Annotated[float, Field(gt=0.0)] | None = None
+    """Length of the jobs that the context is made for, a power of two: its builder is given a quarter of a job's time,
+    and takes what it needs of it. Absent: it is given as long as it takes. See :func:`suited`."""
     tolerance: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05
     """Relative error of the sums of all regions at which no more paths are traced, and neither where those last traced
     have won little; 0: all are traced."""
@@ -204,7 +210,7 @@ class RenderSettings(_Model):
 
     preset: Annotated[str, Field(json_schema_extra={"enum": sorted(PRESETS)})] | None = None
     """``enlightened`` or ``thesis``: values for all that is not given."""
-    integrator: Annotated[str, Field(json_schema_extra={"enum": list(INTEGRATORS)})] = "bdpt"
+    integrator: Annotated[str, Field(json_schema_extra={"enum": list(INTEGRATORS)})] = "auto"
     """``path``, ``light``, ``bdpt`` or ``pssmlt``; ``auto`` for the best of path and bdpt, plain and enlightened, by
     pilots; or ``mi_<name>`` for an integrator of Mitsuba's own."""
     light_sampling: LightSampling = "adjoint"
@@ -265,11 +271,20 @@ class RenderSettings(_Model):
                 )
         if self.needs_tables and self.context.regions == 0:
             raise ValueError("context.regions: what goes by context needs tables: give 1 or more regions")
+        if self.integrator == "auto":
+            self._check_auto()
         if self.integrator == "auto" and not self.context.adaptive:
-            raise ValueError("context.adaptive: 'auto' chooses by pilots: leave it on, or name an integrator")
+            raise ValueError("context.adaptive: 'auto' chooses by trials: leave it on, or name an integrator")
         if (self.width is None) != (self.height is None):
             raise ValueError("give both width and height, or neither")
         return self
+
+    def _check_auto(self) -> None:
+        """Refuse settings that ``auto`` would not follow, because it chooses them."""
+        fields = type(self).model_fields
+        for name in ("direction_sampling", "roulette", "path", "light", "bdpt", "pssmlt"):
+            if getattr(self, name) != fields[name].default:
+                raise ValueError(f"{name}: 'auto' chooses it: name an integrator, for example bdpt")
 
     @property
     def is_baseline(self) -> bool:
@@ -337,14 +352,14 @@ class StopCriterion(_Model):
 def suited(settings: RenderSettings, stop: StopCriterion) -> RenderSettings:
     """``settings`` with a context that suits the render: what they do not say of it follows from its time.
 
-    How many paths fill the tables, by powers of two and by nothing else, so that renders of about the same length
-    share a context on any machine; and to the end where the render keeps to tables.
+    How much time it is given, by powers of two and by nothing else, so that renders of about the same length share a
+    context; and tables to the end where the render keeps to tables.
     """
     changes: dict[str, Any] = {}
-    if settings.context.paths is None and settings.needs_tables:
-        seconds = USUAL_SECONDS if stop.seconds is None else stop.seconds
-        paths = min(max(USUAL_PATHS * seconds / USUAL_SECONDS, LEAST_PATHS), MOST_PATHS)
-        changes["context.paths"] = 1 << math.floor(math.log2(paths))
+    if settings.context.paths is None and settings.context.seconds is None and settings.needs_tables:
+        seconds = stop.seconds
+        if seconds is not None:
+            changes["context.seconds"] = 2.0 ** math.floor(math.log2(min(max(seconds, 1.0), LONGEST)))
     if settings.keeps_to_tables:
         changes["context.thorough"] = True
     return with_overrides(settings, changes) if changes else settings

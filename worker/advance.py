@@ -10,6 +10,7 @@ from itertools import count
 from math import isfinite
 from typing import NamedTuple
 
+from elps_core.estimate.schedule import MEANTIME
 from elps_core.estimate.stats import MIN_CHUNKS
 from worker.models import FINAL_STATES, ContextState, Job
 from worker.state import JobEntry
@@ -57,11 +58,9 @@ def decide(
         return Decision()
     if entry.merged and (_reached(entry, now) or _planned(job, entry.merged, chunk_spp)):
         return Decision(finish=True)
-    if context in ("missing", "failed"):
-        return Decision(build_context=True)
-    if context == "building":
-        return Decision()
     known = done | in_flight | frozenset(entry.merged)
+    if context in ("missing", "failed", "building"):
+        return Decision(build_context=context != "building", start=_meantime(job, known, in_flight, window))
     room = window - len(in_flight)
     wanted: list[int] = []
     late = False
@@ -77,6 +76,15 @@ def decide(
             wanted.append(index)
     # What is in flight was started in time and is waited for.
     return Decision(start=tuple(wanted), finish=late and not wanted and not in_flight)
+
+
+def _meantime(job: Job, known: frozenset[int], in_flight: frozenset[int], window: int) -> tuple[int, ...]:
+    """Chunks to render while there is no context: the first at once, more where workers have nothing else to do."""
+    if job.settings.integrator != "auto":
+        return ()
+    early = [index for index in known if index >= MEANTIME]
+    others = window - 2 - len(in_flight)  # Workers but the one that builds the context
+    return tuple(MEANTIME + len(early) + k for k in range(max(others, 0 if early else 1)))
 
 
 def worth_starting(entry: JobEntry, spp: int, now: float) -> bool:
@@ -96,16 +104,18 @@ def mergeable(entry: JobEntry, done: Iterable[int], chunk_spp: ChunkSpp) -> list
     A limit on samples takes the first chunks of the stream and no others, so that the image does
     not depend on which chunks another job with the same digest made.
     """
-    candidates = sorted(set(done) - set(entry.merged))
+    new = sorted(set(done) - set(entry.merged))
+    early = [index for index in new if index >= MEANTIME]
+    candidates = new[: len(new) - len(early)]
     limit = entry.job.stop.samples
     if limit is None or not candidates:
-        return candidates
+        return new
     spp = 0
     for index in count():
         if spp >= limit:
-            return [candidate for candidate in candidates if candidate < index]
+            return [candidate for candidate in candidates if candidate < index] + early
         if index > candidates[-1]:
-            return candidates
+            return new
         spp += chunk_spp(index)
     raise AssertionError  # count never ends
 
@@ -153,5 +163,6 @@ def _reached(entry: JobEntry, now: float) -> bool:
 
 
 def _planned(job: Job, merged: tuple[int, ...], chunk_spp: ChunkSpp) -> bool:
-    """Whether the merged chunks are all that the limit on samples asks for."""
-    return job.stop.samples is not None and sum(chunk_spp(index) for index in merged) >= job.stop.samples
+    """Whether the merged chunks are all that the limit on samples asks for; what came before a context is besides."""
+    later = (index for index in merged if index < MEANTIME)
+    return job.stop.samples is not None and sum(chunk_spp(index) for index in later) >= job.stop.samples

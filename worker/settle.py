@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import structlog
 
-from elps_core.choice import candidate, choose
 from elps_core.errors import ContextMismatch
 from elps_core.estimate.film import Accumulation, Chunk
-from elps_core.estimate.schedule import chunk_spp
+from elps_core.estimate.schedule import MEANTIME, chunk_spp
+from elps_core.selection.candidates import CANDIDATES, choose
 from worker.advance import ChunkSpp, Decision, decide, eta_seconds, mergeable, publish_due
 from worker.leases import Work
 from worker.models import FINAL_STATES, ContextRecord, ContextState, Job, JobState, Statistic
@@ -33,7 +33,7 @@ _PROGRESS = ("samples_done", "chunks_done", "relative_error", "seconds_rendering
 def schedule(job: Job, choice: dict[str, Any] | None) -> ChunkSpp:
     """Samples per pixel of each chunk of a job, once it is known what renders."""
     by_pilots = choice if job.settings.integrator == "auto" else None
-    settings = candidate(job.settings, by_pilots["name"]) if by_pilots else job.settings
+    settings = CANDIDATES[by_pilots["name"]].settings(job.settings) if by_pilots else job.settings
     return lambda index: chunk_spp(index, settings, (job.width, job.height))
 
 
@@ -82,7 +82,7 @@ class Settler:
             work.number for work in self._parts.board.in_flight() if work[:2] == ("chunk", job.digest)
         )
         done = state.done(job.digest)
-        image, facts = self._merge(entry, mergeable(entry, done, spp))
+        image, facts = self._merge(entry, mergeable(entry, done, spp), choice)
         now = time.time()
         entry = _counted(entry, facts, now)
         window = sum(job.settings.variant in worker.variants for worker in state.workers()) + 1
@@ -101,10 +101,14 @@ class Settler:
         else:
             self._start(seen.job, decision)
 
-    def _merge(self, entry: JobEntry, new: list[int]) -> tuple[Accumulation, _Merged]:
-        """The merged image with ``new`` chunks in it."""
+    def _merge(self, entry: JobEntry, new: list[int], choice: dict[str, Any] | None) -> tuple[Accumulation, _Merged]:
+        """The merged image with ``new`` chunks in it.
+
+        What was rendered before the ``choice`` counts by what trials say of it.
+        """
         job = entry.job
-        merged = self._warm.accumulation(job)
+        meantime = float(choice["meantime"]) if choice else 1.0
+        merged = self._warm.accumulation(job, meantime)
         seconds = entry.sample_seconds
         for index in sorted({*entry.merged, *new} - merged.chunks):
             data = self._parts.store.get(chunk_key(job.digest, index))
@@ -113,7 +117,7 @@ class Settler:
                 self._parts.state.remove_done(job.digest, index)
                 continue
             chunk = Chunk.from_bytes(data)
-            merged.add(chunk)
+            merged.add(chunk, meantime if index >= MEANTIME else 1.0)
             seconds = chunk.seconds / chunk.spp
         error = entry.job.relative_error if merged.chunks == set(entry.merged) else merged.relative_error()
         statistics = {key: Statistic(**value._asdict()) for key, value in merged.statistics().items()}
@@ -192,7 +196,7 @@ def _changed(
             events.extend(change.events)
 
     # Chunks may come from another job with the same digest, so that this one never waited for a worker.
-    if merged.chunks or (context == "ready" and entry.job.state == "preparing"):
+    if any(index < MEANTIME for index in merged.chunks) or (context == "ready" and entry.job.state == "preparing"):
         go("rendering")
     if choice is not None and entry.job.choice is None:
         entry = update(entry, choice=choice)

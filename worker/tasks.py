@@ -18,6 +18,8 @@ from celery import Celery, signals
 from pydantic import ValidationError
 
 from elps_core.errors import DeviceUnavailable, ElpsError
+from elps_core.estimate.schedule import MEANTIME
+from elps_core.selection.race import Allowance
 from worker.advance import worth_starting
 from worker.errors import FarmUnavailable
 from worker.leases import Lease, Work, kept
@@ -68,10 +70,10 @@ class Child:
 
         def render(job: Job) -> None:
             for entry in state.of_render(digest):
-                state.enter(entry.job.id, "rendering")
+                state.enter(entry.job.id, "preparing" if index >= MEANTIME else "rendering")
             key = chunk_key(digest, index)
             if not store.exists(key):
-                store.put(key, self.warm.renderer(job).render_chunk(index).to_bytes())
+                store.put(key, self.warm.chunk(job, index).to_bytes())
 
         lease = self._attempt(Work("chunk", digest, index), render)
         if lease is None:
@@ -130,7 +132,7 @@ class Child:
             state.set_context(record)
         begin = time.monotonic()
         builder = self.warm.builder(job, done)
-        builder.step()
+        builder.step(_time_for_preparing(job, self.warm.compiling))
         finished = builder.done == builder.steps
         if finished:
             context = builder.result()
@@ -203,6 +205,12 @@ class Child:
         for entry in self._waiting(work):
             state.enter(entry.job.id, "failed", message)
             self.settle(entry.job.id)
+
+
+def _time_for_preparing(job: Job, compiling: float) -> Allowance:
+    """What a job gives to its context, where the kernel of plain paths took so many seconds to compile."""
+    now = time.time()
+    return Allowance.of(time.perf_counter() - (now - (job.started or now)), job.stop.seconds, compiling)
 
 
 def _in_time(entry: JobEntry, index: int) -> bool:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from elps_core.context.store import GlobalContext, load
 from elps_core.errors import ContextMismatch, RenderFailed
-from elps_core.estimate.film import Accumulation
+from elps_core.estimate.film import Accumulation, Chunk
+from elps_core.estimate.schedule import MEANTIME
 from worker.models import Job
 from worker.store import Store, name
 
@@ -61,10 +62,12 @@ class Warm:
 
     def __init__(self, store: Store) -> None:
         self._store = store
+        self.compiling = 0.0
+        """Seconds that the kernel of plain paths took to compile for the job that was begun last."""
         self._scenes: Recent[tuple[object, ...], LoadedScene] = Recent(SCENES_KEPT)
         self._renderers: Recent[str, Renderer] = Recent(SCENES_KEPT)
         self._builders: Recent[str, ContextBuilder] = Recent(SCENES_KEPT)
-        self._accumulations: Recent[str, Accumulation] = Recent(ACCUMULATIONS_KEPT)
+        self._accumulations: Recent[str, tuple[float, Accumulation]] = Recent(ACCUMULATIONS_KEPT)
 
     def prepare(self, variant: str) -> None:
         """Load Mitsuba and what renders with it, before the first job asks. Raises DeviceUnavailable."""
@@ -74,8 +77,20 @@ class Warm:
         import elps_core.io.exr
         import elps_core.renderer  # noqa: F401
 
-    def renderer(self, job: Job) -> Renderer:
-        """The renderer of a job's chunks, its context loaded.
+    def chunk(self, job: Job, index: int) -> Chunk:
+        """Render a chunk of a job."""
+        from elps_core.timing import KernelClock
+
+        meantime = index >= MEANTIME
+        renderer = self.renderer(job, meantime=meantime)
+        with KernelClock() as kernels:
+            chunk = renderer.render_chunk(index)
+        if meantime:
+            self.compiling = kernels.compiling
+        return chunk
+
+    def renderer(self, job: Job, *, meantime: bool = False) -> Renderer:
+        """The renderer of a job's chunks, its context loaded; or of those before there is one, in the ``meantime``.
 
         Raises:
             ElpsError: the scene or its context does not load.
@@ -84,6 +99,8 @@ class Warm:
         from elps_core.renderer import Renderer
 
         device.use(job.settings.variant)  # another job may have set another one
+        if meantime:
+            return self._renderers.get(f"{job.digest} plain", lambda: Renderer(self._scene(job), job.settings))
         return self._renderers.get(
             job.digest, lambda: Renderer(self._scene(job), job.settings, self._context(job.context_digest))
         )
@@ -123,9 +140,15 @@ class Warm:
         """Give back the memory of a context that is finished."""
         self._builders.forget(digest)
 
-    def accumulation(self, job: Job) -> Accumulation:
-        """What this process has merged of a job so far."""
-        return self._accumulations.get(job.id, lambda: Accumulation.empty(job.width, job.height))
+    def accumulation(self, job: Job, meantime: float) -> Accumulation:
+        """What this process has merged of a job so far; begun anew where the weight of the ``meantime`` is another."""
+
+        def empty() -> tuple[float, Accumulation]:
+            return meantime, Accumulation.empty(job.width, job.height)
+
+        if self._accumulations.get(job.id, empty)[0] != meantime:
+            self._accumulations.forget(job.id)
+        return self._accumulations.get(job.id, empty)[1]
 
     def forget_accumulation(self, job: Job) -> None:
         """Give back the memory of a job's merged image."""

@@ -13,11 +13,11 @@ from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.frame import LANES
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
-from elps_core.sampling.start import StartDensity
+from elps_core.sampling.start import StartDensity, power_table, uniform_table
 from elps_core.scene.emission import Emission
 from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
-from elps_core.settings import ContextSettings
+from elps_core.settings import ContextSettings, LightSampling
 
 Table = NDArray[np.float64]
 
@@ -53,6 +53,15 @@ def start_table(adjoint: NDArray[np.floating[Any]], emission: Emission, epsilon:
         return power
     share = power / max(power.sum(), np.finfo(float).tiny)
     return np.asarray((1.0 - epsilon) * measured / measured.sum() + epsilon * share)
+
+
+def density_of(
+    sampling: LightSampling, emission: Emission, adjoint: NDArray[np.floating[Any]] | None, settings: ContextSettings
+) -> StartDensity:
+    """The density of light vertices that ``sampling`` asks for, by ``adjoint`` [rows, columns] where it is theirs."""
+    if adjoint is not None and sampling in ("adjoint", "context"):
+        return StartDensity(emission, start_table(adjoint, emission, settings.epsilon, settings.exponent))
+    return StartDensity(emission, uniform_table(emission) if sampling == "uniform" else power_table(emission))
 
 
 class AdjointMeasurement:

@@ -66,6 +66,11 @@ class Aims:
     """[K, POINTS]: root mean square of radiance times cosine over a region, integrated over directions; in units of its
     irradiance."""
 
+    @staticmethod
+    def nowhere(regions: int) -> Aims:
+        """Points of so many regions that no light comes from."""
+        return Aims(np.zeros((regions, POINTS, 4), np.float32), np.zeros((regions, POINTS), np.float32))
+
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything by name, for a file."""
         return {"points": self.points, "roots": self.roots}

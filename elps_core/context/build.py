@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, fields
 from typing import Any
 
 import drjit as dr
@@ -13,22 +13,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from elps_core.choice import CANDIDATES, PILOTS, Pilot, fit_candidates, together
 from elps_core.context import adjoint
-from elps_core.context.adjoint import AdjointMeasurement
-from elps_core.context.pilots import PilotRunner
+from elps_core.context.adjoint import AdjointMeasurement, shrunk
 from elps_core.context.saved import UNFIT
-from elps_core.context.scouting import (
-    FIRST_SCOUTS,
-    SCOUTS,
-    brought_up,
-    falls_short,
-    far_ahead,
-    next_scout,
-    to_compare_again,
-    unguided_wins,
-    worth_measuring,
-)
 from elps_core.context.store import DirectionalParts, GlobalContext
 from elps_core.context.tables import TableBuilder
 from elps_core.errors import ContextMismatch
@@ -37,10 +24,19 @@ from elps_core.scene.digest import context_digest
 from elps_core.scene.emission import Emission
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
+from elps_core.selection.candidates import CANDIDATES, MEANWHILE, TRIALS, Candidate, Trial, fit_candidates, plain_of
+from elps_core.selection.race import ENDLESS, Allowance, contenders, next_trial, training_pays
+from elps_core.selection.trials import TrialRunner
 from elps_core.settings import ContextSettings
 
-LOOKED_AFTER, SCOUTED_AFTER = 2, 3
-"""Steps of filling before the first scouts, 2^15 + 2^16 paths, and before all of them: 2^17 more."""
+COMPARED_AFTER = 3
+"""Steps of filling after which it is asked whether tables will pay: 2^15 + 2^16 + 2^17 paths."""
+TRAINING = 0.8
+"""Part of the time for preparing after which tables are filled no further: the rest is for trials."""
+KERNELS = 3.0
+"""Time that the two kernels of training take to compile, over that of plain paths."""
+COMPARED_BY = 0.5
+"""Part of it after which tables are compared with what needs none, however few paths have filled them."""
 
 
 class ContextBuilder:
@@ -51,38 +47,44 @@ class ContextBuilder:
     """
 
     def __init__(self, scene: LoadedScene, settings: ContextSettings) -> None:
-        self._scene = scene
-        self._settings = settings
+        self._scene, self._settings = scene, settings
+        self._emission: Emission = scene.emission
         camera = Camera(scene.sensor)
-        self._adjoint = AdjointMeasurement(scene.scene, camera, Emission(scene.scene), settings)
         self._tables = TableBuilder(scene.scene, camera, settings) if settings.regions else None
+        walks = self._tables is not None and settings.particles == "walks"
+        # Paths that fill tables tell what each piece of the lights gives to the image: nothing else need measure it.
+        self._adjoint = None if walks else AdjointMeasurement(scene.scene, camera, self._emission, settings)
+        self._grid = adjoint.grid(self._emission.count, settings.resolution)
         self._candidates = fit_candidates(scene.summary, settings) if settings.regions and settings.adaptive else []
-        self._scouts: list[Pilot] = []
-        self._pilots: list[Pilot] = []
+        self._middle: list[Trial] = []
+        self._compared = settings.thorough or not self._candidates
+        self._trials: list[Trial] = []
         self._stopped = False
+        self._cut = False
         self._parts: DirectionalParts | None = None
         self._seconds = 0.0
+        self._allowance = ENDLESS
         self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings)
 
     @property
     def steps(self) -> int:
-        """Steps in all; some at the end are left out where tables have converged before."""
-        tables = self._tables.steps if self._tables else 0
-        return adjoint.STEPS + tables + (1 if self._scouting else 0) + len(self._measured)
+        """Steps in all, as far as is known; some at the end are left out where tables or trials are not worth them."""
+        if self._cut:
+            return self.done
+        more = 0 if self._compared and self._next_trial() is None else 1
+        return self.done + self._left() + more
 
     @property
-    def _scouting(self) -> bool:
-        """Whether scouts say, or are yet to say, if training is to go on to its end."""
-        if not self._tables or self._settings.thorough or not set(SCOUTS) & set(self._candidates):
-            return False
-        left = len(self._tables.filling) - SCOUTED_AFTER
-        converged = self._tables.done == self._tables.steps and not self._scouts
-        return self._tables.knows_nothing and left >= 1 and not converged
+    def done(self) -> int:
+        """Steps taken."""
+        measured = len(self._adjoint.batches) if self._adjoint else 0
+        tried = len(self._middle) + (len(self._trials) if self._compared and not self._stopped else 0)
+        return measured + (self._tables.done if self._tables else 0) + tried
 
-    @property
-    def _measured(self) -> list[str]:
-        """Candidates of which there are pilots in the end, or will be."""
-        return worth_measuring(self._candidates, self._scouts, self._pilots, stopped=self._stopped)
+    def _left(self) -> int:
+        """Steps of the adjoint image and of the tables that are left."""
+        measured = adjoint.STEPS - len(self._adjoint.batches) if self._adjoint else 0
+        return measured + (self._tables.steps - self._tables.done if self._tables else 0)
 
     def begin_from(self, other: GlobalContext) -> bool:
         """Take over what a context of the same surroundings and settings knows of light; whether it was of use.
@@ -94,82 +96,96 @@ class ContextBuilder:
         fit = (other.surroundings, same) == (self._scene.surroundings, self._settings)
         if not fit or not other.statistics.get("thorough") or not self._tables or not other.directions:
             return False
-        emission = self._adjoint.emission
-        return self._tables.begin_from(other.directions, StartDensity(emission, power_table(emission)))
+        begun = self._tables.begin_from(other.directions, StartDensity(self._emission, power_table(self._emission)))
+        self._compared = self._compared or begun
+        return begun
 
-    @property
-    def done(self) -> int:
-        """Steps taken."""
-        scouted = 1 if self._scouts else 0
-        return len(self._adjoint.batches) + (self._tables.done if self._tables else 0) + scouted + len(self._pilots)
+    def step(self, allowance: Allowance = ENDLESS) -> None:
+        """Take the next step; none is left when :attr:`done` equals :attr:`steps`.
 
-    def step(self) -> None:
-        """Take the next step; none is left when :attr:`done` equals :attr:`steps`."""
+        The last step ends by the ``allowance``, and what is there by then is used.
+        """
         begin = time.perf_counter()
         dr.flush_malloc_cache()  # Each step has larger arrays, and no use for memory of the sizes before
-        measured = self._adjoint
-        if len(measured.batches) < adjoint.STEPS:
-            measured.step()
-        elif self._tables and self.done < self.steps:
-            table = adjoint.start_table(
-                measured.image(), measured.emission, self._settings.epsilon, self._settings.exponent
-            )
-            lights = StartDensity(measured.emission, table)
-            if self._scouting and not self._scouts and self._tables.filled == SCOUTED_AFTER:
-                self._scout(self._tables, lights)
-            elif self._tables.done < self._tables.steps:
-                if not self._given_up(self._tables, lights):
-                    self._tables.step(lights)
-            else:
-                self._parts = self._parts or self._tables.result()
-                runner = self._runner(self._parts, lights)
-                self._pilots.append(runner.run(self._measured[len(self._pilots)], self._pilots))
+        self._allowance = allowance
+        if self._adjoint and len(self._adjoint.batches) < adjoint.STEPS:
+            self._adjoint.step()
+        elif self._tables:
+            self._advance(self._tables)
         self._seconds += time.perf_counter() - begin
 
-    def _scout(self, tables: TableBuilder, lights: StartDensity) -> None:
-        """Compare a few candidates by the tables so far; no more steps for these where a plain one will be better."""
-        parts = tables.result()
-        runner = self._runner(parts, lights)
-        while (name := next_scout(self._candidates, self._scouts)) is not None:
-            self._scouts.append(runner.run(name, self._scouts, scout=True))
-        if unguided_wins(self._scouts):
-            self._stop(tables, parts)
+    def _advance(self, tables: TableBuilder) -> None:
+        """One step of the tables, or one trial."""
+        left, filling = self._allowance.left(TRAINING), tables.done < tables.steps
+        if filling and not self._compared and self._to_be_compared(tables):
+            if (candidate := self._next_trial()) is None:
+                self._compared = True
+                if not training_pays(self._middle):
+                    self._stop(tables)
+            else:
+                self._middle.append(self._runner(tables).run(candidate, self._middle))
+        elif filling and not tables.filled and self._may_do_without and left < self.first_needs(self._allowance):
+            self._cut = True
+        elif filling and tables.filled and not tables.worth_going_on(left):
+            self._end(tables)
+        elif filling:
+            tables.step(self._lights(), left)
+            self._parts = None
+            if tables.done == tables.steps:
+                self._end(tables)
+        elif (candidate := self._next_trial()) is not None:
+            self._trials.append(self._runner(tables).run(candidate, self._trials))
 
-    def _given_up(self, tables: TableBuilder, lights: StartDensity) -> bool:
-        """Whether a step before all scouts, or one after them, it is clear that tables will not pay."""
-        if self._scouting and not self._scouts and tables.filled == LOOKED_AFTER:
-            return tables.finds_noise and set(FIRST_SCOUTS) <= set(self._candidates) and self._look(tables, lights)
-        again = to_compare_again(self._scouts) if self._scouting and tables.filled == SCOUTED_AFTER + 1 else []
-        if not again:
+    @property
+    def _may_do_without(self) -> bool:
+        """Whether a job can render without tables: not one that keeps to them whatever else is better."""
+        return bool(self._candidates) and not self._settings.thorough
+
+    def first_needs(self, allowance: Allowance) -> float:
+        """Seconds that the next step takes at least: the first one compiles the kernels of training."""
+        return KERNELS * allowance.compiling if self.done == 0 else 0.0
+
+    def _to_be_compared(self, tables: TableBuilder) -> bool:
+        if not tables.filled or not tables.knows_nothing:
             return False
-        parts, after = tables.result(), list[Pilot]()
-        runner = self._runner(parts, lights)
-        for name in again:
-            after.append(runner.run(name, after, scout=True))
-        if falls_short(self._scouts, after, tables.doublings_left):
-            self._scouts = brought_up(self._scouts, after)
-            self._stop(tables, parts)
-        return self._stopped
+        return tables.filled >= COMPARED_AFTER or self._allowance.left(COMPARED_BY) < 0.0
 
-    def _look(self, tables: TableBuilder, lights: StartDensity) -> bool:
-        """Whether joined subpaths are far ahead of what tables can do."""
-        parts, scouts = tables.result(), list[Pilot]()
-        runner = self._runner(parts, lights)
-        for name in FIRST_SCOUTS:
-            scouts.append(runner.run(name, scouts, scout=True, brief=True))
-            if not far_ahead(scouts):
-                return False
-        self._scouts = scouts
-        self._stop(tables, parts)
-        return True
-
-    def _stop(self, tables: TableBuilder, parts: DirectionalParts) -> None:
-        """Fill tables no further."""
+    def _end(self, tables: TableBuilder) -> None:
+        """Fill tables no further: they are as good as time allows, or have converged."""
         tables.stop()
-        self._stopped, self._parts = True, parts
+        self._compared = True
 
-    def _runner(self, parts: DirectionalParts, lights: StartDensity) -> PilotRunner:
-        return PilotRunner(self._scene.scene, Camera(self._scene.sensor), lights, parts, self._settings)
+    def _stop(self, tables: TableBuilder) -> None:
+        """Fill tables no further, because they will not pay: what was tried by then is all that is."""
+        tables.stop()
+        self._stopped = True
+        self._trials = list(self._middle)
+
+    def _next_trial(self) -> Candidate | None:
+        if not self._candidates or self._stopped or self._cut:
+            return None
+        of_middle = self._tables is not None and not self._compared
+        trials = self._middle if of_middle else self._trials
+        fit = self._candidates if of_middle else contenders(self._candidates, self._middle)
+        caustics = self._tables is not None and self._tables.caustics
+        return next_trial(fit, trials, self._allowance, caustics=caustics)
+
+    def _runner(self, tables: TableBuilder) -> TrialRunner:
+        self._parts = self._parts or tables.result()
+        camera = Camera(self._scene.sensor)
+        return TrialRunner(self._scene.scene, camera, self._emission, self._image(), self._parts, self._settings)
+
+    def _image(self) -> NDArray[np.float64]:
+        """The adjoint image so far [rows, columns]."""
+        if self._adjoint:
+            return self._adjoint.image()
+        return shrunk(self._tables.flux(*self._grid), self._emission.count) if self._tables else np.zeros(self._grid)
+
+    def _lights(self) -> StartDensity:
+        """By what is known of the lights so far; power keeps more than its usual share while that is little."""
+        epsilon = max(self._settings.epsilon, 0.0 if self._adjoint else adjoint.EARLY_SHARE)
+        table = adjoint.start_table(self._image(), self._emission, epsilon, self._settings.exponent)
+        return StartDensity(self._emission, table, cells=True)
 
     def result(self) -> GlobalContext:
         """The context, once all steps are taken.
@@ -179,19 +195,13 @@ class ContextBuilder:
         """
         if self.done < self.steps:
             raise RuntimeError("the context is not finished: take the steps that are left")
-        measured = self._adjoint
-        flux = measured.batches.sum(axis=(1, 2))
-        statistics: dict[str, Any] = {
-            "paths": int(self._settings.samples_per_cell * measured.rows * measured.columns),
-            "emitters": measured.emission.count,
-            "rows": measured.rows,
-            "columns": measured.columns,
-            "flux": float(flux.mean()),
-            "flux_standard_error": float(flux.std(ddof=1) / np.sqrt(len(flux))),
-        }
         begin = time.perf_counter()
         tables = self._tables
-        parts = self._parts = self._parts or (tables.result() if tables else None)
+        filled = tables is not None and (tables.filled > 0 or not tables.knows_nothing)
+        if tables and filled:
+            self._parts = self._parts or tables.result()
+        parts = self._parts if filled else None
+        image, statistics = self._image(), self._facts()
         if tables and parts:
             statistics |= {
                 "particles": tables.particles,
@@ -202,7 +212,8 @@ class ContextBuilder:
                 "thorough": not self._stopped,
             }
         if self._candidates:
-            statistics[PILOTS] = [asdict(pilot) for pilot in together(self._scouts, self._pilots)]
+            statistics[TRIALS] = [asdict(trial) for trial in self._trials]
+            statistics[MEANWHILE] = plain_of(self._candidates).name
         self._seconds += time.perf_counter() - begin
         statistics = {"seconds": round(self._seconds, 3), **statistics}
         return GlobalContext(
@@ -210,22 +221,41 @@ class ContextBuilder:
             scene=self._scene.digest,
             sensor=self._scene.sensor_index,
             settings=self._settings,
-            adjoint=measured.image().astype(np.float32),
-            emitters=measured.emission.keys,
+            adjoint=image.astype(np.float32),
+            emitters=self._emission.keys,
             statistics=statistics,
             directions=parts,
             surroundings=self._scene.surroundings,
         )
 
+    def _facts(self) -> dict[str, Any]:
+        """Of the adjoint image."""
+        batches = self._adjoint.batches if self._adjoint else np.zeros((0, *self._grid))
+        paths = int(self._settings.samples_per_cell * self._grid[0] * self._grid[1])
+        if self._tables and not self._adjoint:
+            batches, paths = self._tables.flux(*self._grid), self._tables.flux_paths
+        flux = batches.sum(axis=(1, 2))
+        return {
+            "paths": paths,
+            "emitters": self._emission.count,
+            "rows": self._grid[0],
+            "columns": self._grid[1],
+            "flux": float(flux.mean()),
+            "flux_standard_error": float(flux.std(ddof=1) / np.sqrt(len(flux))),
+        }
+
     def to_bytes(self) -> bytes:
         """The state after the steps taken, as one safetensors record."""
-        parts = {"batches": self._adjoint.batches, "seconds": np.array([self._seconds])}
+        flags = [self._compared, self._stopped, self._cut]
+        parts: dict[str, NDArray[Any]] = {
+            "batches": self._adjoint.batches if self._adjoint else np.zeros((0, *self._grid)),
+            "seconds": np.array([self._seconds]),
+            "flags": np.array(flags),
+            "middle": _rows(self._middle),
+            "trials": _rows(self._trials),
+        }
         if self._tables:
             parts |= {f"tables.{name}": array for name, array in self._tables.arrays().items()}
-        if self._pilots:
-            parts["pilots"] = _rows(self._pilots)
-        if self._scouts:
-            parts |= {"scouts": _rows(self._scouts), "stopped": np.array([self._stopped])}
         return save_tensors({name: np.ascontiguousarray(array) for name, array in parts.items()})
 
     def restore(self, data: bytes) -> None:
@@ -237,48 +267,48 @@ class ContextBuilder:
         try:
             record = load_tensors(data)
             batches, seconds = record["batches"], float(record["seconds"][0])
-            stopped = bool(record["stopped"][0]) if "stopped" in record else False
-            scouts, pilots = (_pilots(record[name]) if name in record else [] for name in ("scouts", "pilots"))
+            compared, stopped, cut = (bool(flag) for flag in record["flags"])
+            middle, trials = (_trials(record[name]) for name in ("middle", "trials"))
         except (SafetensorError, KeyError, IndexError, TypeError, ValueError):
             raise ContextMismatch(UNFIT) from None
-        grid = (self._adjoint.rows, self._adjoint.columns)
-        if (
-            batches.ndim != 3
-            or batches.shape[1:] != grid
-            or len(batches) > adjoint.STEPS
-            or batches.dtype != np.float64
-        ):
+        most = adjoint.STEPS if self._adjoint else 0
+        if batches.ndim != 3 or batches.shape[1:] != self._grid or len(batches) > most or batches.dtype != np.float64:
             raise ContextMismatch(UNFIT)
         if self._tables:
             prefix = "tables."
             kept = {name.removeprefix(prefix): part for name, part in record.items() if name.startswith(prefix)}
             self._tables.restore(kept)
-        self._adjoint.batches, self._seconds = batches, seconds
-        self._scouts, self._pilots, self._parts, self._stopped = scouts, pilots, None, stopped
+        if self._adjoint:
+            self._adjoint.batches = batches
+        self._seconds, self._parts = seconds, None
+        self._middle, self._trials = middle, trials
+        self._compared, self._stopped, self._cut = compared, stopped, cut
 
 
 NAMES = tuple(CANDIDATES)
 """Of candidates, by their number in a saved state."""
 
 
-def _rows(pilots: list[Pilot]) -> NDArray[np.float64]:
-    """[n, 8]: all that pilots say, candidates by number."""
-    return np.array([(NAMES.index(pilot.name), *astuple(pilot)[1:]) for pilot in pilots], np.float64)
+def _rows(trials: list[Trial]) -> NDArray[np.float64]:
+    """[n, 9]: all that trials say, candidates by number."""
+    rows = [(NAMES.index(trial.name), *astuple(trial)[1:]) for trial in trials]
+    return np.array(rows, np.float64).reshape(len(rows), len(fields(Trial)))
 
 
-def _pilots(rows: NDArray[np.float64]) -> list[Pilot]:
+def _trials(rows: NDArray[np.float64]) -> list[Trial]:
     """What :func:`_rows` gave."""
     found = []
-    for number, variance, error, mean, mean_error, microseconds, samples, rival in rows.tolist():
-        found.append(Pilot(NAMES[int(number)], variance, error, mean, mean_error, microseconds, int(samples), rival))
+    for number, variance, error, mean, mean_error, microseconds, samples, rival, compiling in rows.tolist():
+        name = NAMES[int(number)]
+        found.append(Trial(name, variance, error, mean, mean_error, microseconds, int(samples), rival, compiling))
     return found
 
 
-def start_density(context: GlobalContext, emission: Emission) -> StartDensity:
-    """The density of light vertices that ``context`` proposes, for the scene of ``emission``.
+def check_lights(context: GlobalContext, emission: Emission) -> None:
+    """Refuse a context that was measured with other emitters.
 
     Raises:
-        ContextMismatch: the context was measured with other emitters.
+        ContextMismatch: so it was.
     """
     rows, columns = context.adjoint.shape
     same = context.emitters.shape == emission.keys.shape and np.allclose(
@@ -286,6 +316,3 @@ def start_density(context: GlobalContext, emission: Emission) -> StartDensity:
     )
     if not same or columns % emission.count or rows < 1:
         raise ContextMismatch("the context belongs to a scene with other lights: build it again for this scene")
-    return StartDensity(
-        emission, adjoint.start_table(context.adjoint, emission, context.settings.epsilon, context.settings.exponent)
-    )

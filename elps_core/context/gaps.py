@@ -31,6 +31,11 @@ def thinned(evidence: NDArray[np.float64], *, now: bool) -> Thinned:
     )
 
 
+def kept_evenly(chance: float, regions: int) -> Thinned:
+    """What keeps particles with the same ``chance`` in all ``regions``, by the same kernel again."""
+    return Thinned(on_device(mi.Float, np.full(regions, chance)), ParticleBuffer(LEAST_ROOM))
+
+
 def slits(
     scene: mi.Scene,
     photons: Thinned,
@@ -45,12 +50,17 @@ def slits(
 
     Groups of regions ``lenders`` as of :func:`elps_core.context.slits.find`.
     """
-    lit, seen = (_lines(scene, kept, lookup, irradiance) for kept in (photons, importons))
+    lit = _lines(scene, photons, lookup, irradiance)
+    # What the sensor sees directly has come through no gap that paths need to be led to.
+    seen = _lines(scene, importons, lookup, irradiance, first=2)
     return find(lit, seen, lenders, edges(scene), cell, seed)
 
 
-def _lines(scene: mi.Scene, kept: Thinned, lookup: RegionLookup, irradiance: NDArray[np.float64]) -> Lines:
-    particles = kept.buffer.take()
+def _lines(
+    scene: mi.Scene, kept: Thinned, lookup: RegionLookup, irradiance: NDArray[np.float64], *, first: int = 1
+) -> Lines:
+    """What was kept of a depth of ``first`` or more."""
+    particles = kept.buffer.take().deeper(first)
     if not len(particles):
         return NONE
     here, ray = lookup.back(particles)

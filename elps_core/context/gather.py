@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,15 @@ from elps_core.particles.bidirectional import BidirectionalSampler
 from elps_core.particles.caustics import CausticSampler
 from elps_core.particles.classical import ClassicalSampler
 from elps_core.particles.metropolis import MetropolisSampler
-from elps_core.particles.records import IMPORTON, PHOTON, Particles, ParticleSampler, Worth, everywhere
+from elps_core.particles.records import (
+    IMPORTON,
+    PHOTON,
+    ParticleArrays,
+    Particles,
+    ParticleSampler,
+    Worth,
+    everywhere,
+)
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.settings import ContextSettings
@@ -39,6 +47,8 @@ TRIAL, TRIAL_PATHS = 0xFFFF, 1 << 16
 CAUSTIC_PART = 0.25
 """Photons that they bring, at most, for each other particle that regions are made from. Under a ball of glass every
 step shows the lamp in another direction, and small regions know where."""
+HEAVIEST = 4.0
+"""Weight of a particle, over the middle one's, above which it is no likelier to be a place of a region."""
 MOST_CHAINS, MUTATIONS = 32768, 16
 """Metropolis chains side by side, and their mutations where there are fewer."""
 STREAM = 0xD1AE
@@ -59,36 +69,59 @@ class Gathered:
 
 
 def gather(scene: mi.Scene, camera: Camera, settings: ContextSettings, lights: StartDensity) -> Gathered:
-    """Particles of both kinds, as many of one as of the other: eye paths meet regions, and light paths do.
+    """Particles of both kinds by the sampler that the settings name, as many of one as of the other.
 
     Raises:
         SceneRejected: no path meets a surface that scatters.
     """
-    wanted = min(MOST_PARTICLES, max(PER_REGION * settings.regions, 1 << 14)) // 2
-    found: dict[int, list[tuple[Floats, Floats]]] = {PHOTON: [], IMPORTON: []}
-    counts = {PHOTON: 0, IMPORTON: 0}
+    wanted = wanted_of_each(settings)
+    found: dict[int, list[ParticleArrays]] = {PHOTON: [], IMPORTON: []}
     for run in range(64):  # Bounded: a scene may have no surface that scatters
-        if min(counts.values()) >= wanted or (run > 1 and not any(counts.values())):
+        counts = [sum(len(part.weight) for part in parts) for parts in found.values()]
+        if min(counts) >= wanted or (run > 1 and not any(counts)):
             break
         key = (settings.seed, STREAM, PARTICLES, run)
         for particles in sampler(scene, camera, settings, lights, wanted, first_hits=True).run(key):
-            for kind in found:
-                position, normal = _turned(particles.of(kind))
-                found[kind].append((position, normal))
-                counts[kind] += len(position)
-    if not any(counts.values()):
-        raise SceneRejected("no path meets a surface that scatters: render without context")
+            for kind, parts in found.items():
+                parts.append(particles.of(kind).arrays())
+    return places(scene, settings, found, [], by_weight=False)
+
+
+def wanted_of_each(settings: ContextSettings) -> int:
+    """Particles of each kind that regions are made from, those of caustics apart."""
+    return min(MOST_PARTICLES, max(PER_REGION * settings.regions, 1 << 14)) // 2
+
+
+def places(
+    scene: mi.Scene,
+    settings: ContextSettings,
+    found: Mapping[int, Sequence[ParticleArrays]],
+    aimed: Iterable[Particles],
+    *,
+    by_weight: bool,
+) -> Gathered:
+    """Places of the particles ``found`` of each kind, and of photons that were ``aimed`` at mirrors and glass.
+
+    With ``by_weight`` a particle is the likelier to be one of them, the more it carries: walks keep theirs at every
+    vertex, whatever the materials have absorbed.
+
+    Raises:
+        SceneRejected: there is not one particle.
+    """
+    wanted = wanted_of_each(settings)
     rng = np.random.default_rng([settings.seed, STREAM])
     density = np.zeros((2, DENSITY_SIDE, DENSITY_SIDE), np.float32)
     chosen = []
     for kind, parts in found.items():
-        if counts[kind]:
-            density[kind] = _from_above(scene, np.concatenate([position for position, _ in parts]))
-            chosen.append(_some(parts, wanted, rng))
-    if settings.particles == "walks":
-        aimed = [_turned(photons) for photons in caustics(scene, settings, lights, AIMED_FOR_REGIONS) if len(photons)]
-        if aimed:
-            chosen.append(_some(aimed, int(CAUSTIC_PART * sum(len(position) for position, _ in chosen)), rng))
+        if some := [part for part in parts if len(part.weight)]:
+            position, normal = _some(some, wanted, rng, by_weight=by_weight)
+            density[kind] = _from_above(scene, position)
+            chosen.append((position, normal))
+    if not chosen:
+        raise SceneRejected("no path meets a surface that scatters: render without context")
+    if caustic := [photons.arrays() for photons in aimed if len(photons)]:
+        most = int(CAUSTIC_PART * sum(len(position) for position, _ in chosen))
+        chosen.append(_some(caustic, most, rng, by_weight=False))
     position, normal = (np.concatenate(part) for part in zip(*chosen, strict=True))
     return Gathered(position, normal, density)
 
@@ -127,13 +160,26 @@ def caustics(scene: mi.Scene, settings: ContextSettings, lights: StartDensity, p
     return CausticSampler(scene, lights, max_depth=settings.max_depth, paths=paths).run(key)
 
 
-def _some(parts: list[tuple[Floats, Floats]], count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Up to ``count`` of all positions, with their normals."""
-    position, normal = (np.concatenate(part) for part in zip(*parts, strict=True))
+def _some(
+    parts: Sequence[ParticleArrays], count: int, rng: np.random.Generator, *, by_weight: bool
+) -> tuple[Floats, Floats]:
+    """Up to ``count`` of all positions, with their normals to the side from which particles come."""
+    position, normal, direction = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("position", "normal", "direction")
+    )
     # Particles come in the order in which threads were done: an order of their own, the same in each run.
     factors = rng.integers(1 << 63, size=3, dtype=np.uint64) | np.uint64(1)
-    keep = np.argsort(position.view(np.uint32).astype(np.uint64) @ factors)[:count]
-    return position[keep], normal[keep]
+    order = position.view(np.uint32).astype(np.uint64) @ factors
+    if by_weight:
+        # Of exponential variates with the weights as rates the smallest are drawn in proportion to the weights.
+        weight = np.concatenate([part.weight for part in parts]).astype(np.float64)
+        even = (order >> np.uint64(11)).astype(np.float64) * 2.0**-53
+        keep = np.argsort(-np.log1p(-even) / np.minimum(weight, HEAVIEST * np.median(weight)), kind="stable")[:count]
+    else:
+        keep = np.argsort(order)[:count]
+    position, normal, direction = position[keep], normal[keep], direction[keep]
+    behind = (normal * direction).sum(axis=1, keepdims=True) < 0.0
+    return position, np.where(behind, -normal, normal)
 
 
 def _from_above(scene: mi.Scene, position: Floats) -> Floats:
@@ -144,10 +190,3 @@ def _from_above(scene: mi.Scene, position: Floats) -> Floats:
     cell = np.clip((position[:, [2, 0]] - low[[2, 0]]) * (DENSITY_SIDE / across), 0, DENSITY_SIDE - 1).astype(int)
     counts = np.bincount(cell[:, 0] * DENSITY_SIDE + cell[:, 1], minlength=DENSITY_SIDE**2)
     return (counts.reshape(DENSITY_SIDE, DENSITY_SIDE) / len(position)).astype(np.float32)
-
-
-def _turned(particles: Particles) -> tuple[Floats, Floats]:
-    """Positions and normals, these to the side from which particles come."""
-    arrays = particles.arrays()
-    behind = (arrays.normal * arrays.direction).sum(axis=1, keepdims=True) < 0.0
-    return arrays.position, np.where(behind, -arrays.normal, arrays.normal)

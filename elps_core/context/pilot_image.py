@@ -65,10 +65,6 @@ class PilotImage:
         sums, counts = (blurred(part) for part in self.sums)
         return np.asarray(sums / np.maximum(counts, LEAST_PATHS), np.float32)
 
-    def lit(self) -> float:
-        """Part of the pixels in which light was found."""
-        return float((self.sums[0] > 0.0).mean())
-
     def noise(self) -> float:
         """Standard deviation of one path of the last step over the value of its pixel, the median of all pixels."""
         mean, _, squares = self.newest[1] / np.maximum(self.newest[1, 1], 1.0)

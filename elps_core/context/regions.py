@@ -63,6 +63,18 @@ class Regions:
         """Number of regions."""
         return len(self.centres)
 
+    @staticmethod
+    def undivided(count: int) -> Regions:
+        """As many regions as there will be, the first of which holds everything.
+
+        Dr.Jit compiles other kernels for sums into small arrays.
+        """
+        count = max(count, 2)
+        normals = np.zeros((count, 3), np.float32)
+        normals[:, 2] = 1.0
+        table = Table((0.0, 0.0, 0.0), 1.0, np.ones((1, 1, 2), np.uint32), np.zeros((BINS, 2), np.uint16))
+        return Regions(np.zeros((count, 3), np.float32), normals, 1.0, table)
+
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Everything as arrays, for a file."""
         table = self.table

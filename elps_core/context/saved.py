@@ -65,6 +65,20 @@ class TableState:
     """Once they have been looked for, in scenes with gaps that light comes through."""
     known: DirectionalParts | None = None
     """Tables of another camera in the same surroundings, in place of a clustering and of sums of radiance."""
+    flux: Doubles = field(default_factory=lambda: np.zeros((2, 0, 0)))
+    """Luminance that eye paths have brought from each cell of the lights, by halves of passes [2, rows, columns]."""
+    flux_paths: Doubles = field(default_factory=lambda: np.zeros(2))
+    """Eye paths of both halves."""
+
+    def enter_flux(self, sums: Doubles, paths: Doubles) -> None:
+        """Add what ``paths`` [2] have brought from the cells of the lights, ``sums`` [2, rows, columns]."""
+        self.flux = self.flux + sums if self.flux.size else sums
+        self.flux_paths = self.flux_paths + paths
+
+    def fed(self, records: float) -> bool:
+        """Whether most regions know where their light comes from, by so many records and more."""
+        sources = [self.sources[name] for name in ("radiance", "photons") if name in self.sources]
+        return bool(sources) and float(np.median(np.sum([each.evidence for each in sources], axis=0))) >= records
 
     def arrays(self) -> Arrays:
         """Everything, by name."""
@@ -77,6 +91,8 @@ class TableState:
             "colours": self.colours,
             "moments": self.moments,
             "chances": self.chances,
+            "flux": self.flux,
+            "flux_paths": self.flux_paths,
         }
         if self.clustering is not None:
             parts |= {f"clustering.{name}": array for name, array in self.clustering.arrays().items()}
@@ -104,6 +120,7 @@ class TableState:
             done, paths, particles = (int(n) for n in arrays["counts"])
             pilot, newest, density, lights = (arrays[name] for name in ("pilot", "newest", "density", "lights"))
             colours, moments, chances = arrays["colours"], arrays["moments"], arrays["chances"]
+            flux, flux_paths = arrays["flux"], arrays["flux_paths"]
         except (KeyError, ValueError):
             raise ContextMismatch(UNFIT) from None
         saved = _part(arrays, "clustering")
@@ -120,7 +137,8 @@ class TableState:
         aimed, gaps = _part(arrays, "aims"), _part(arrays, "slits")
         aims = Aims.from_arrays(aimed, count) if aimed else None
         slits = Slits.from_arrays(gaps, count) if gaps else None
-        numbers = [pilot, newest, density, lights, colours, moments, chances, *([] if areas is None else [areas])]
+        numbers = [pilot, newest, density, lights, colours, moments, chances, flux, flux_paths]
+        numbers += [] if areas is None else [areas]
         if (
             not 0 <= done <= steps
             or (done > 0 and not known) != (clustering is not None)
@@ -133,6 +151,7 @@ class TableState:
             or colours.shape not in ((0, 3), (count, 3))
             or moments.shape not in ((3, 0), (3, count))
             or chances.shape not in ((0, len(CHANCES)), (count, len(CHANCES)))
+            or (flux.ndim, len(flux), flux_paths.shape) != (3, 2, (2,))
             or any(
                 (source.regions, source.map.cells) != (pieces if name == DEPARTURES else count, cells)
                 for name, source in sources.items()
@@ -146,6 +165,7 @@ class TableState:
         self.colours, self.moments, self.chances = colours.copy(), moments.copy(), chances.copy()
         self.clustering, self.areas, self.sources, self.known = clustering, areas, sources, known
         self.aims, self.slits = aims, slits
+        self.flux, self.flux_paths = flux.copy(), flux_paths.copy()
 
 
 def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> Arrays:

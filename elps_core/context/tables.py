@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-import math
+import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.arrays import on_device
+from elps_core.context.aims import Aims
 from elps_core.context.areas import region_areas
 from elps_core.context.clustering import Clustering, groups_of
 from elps_core.context.collect import collect
-from elps_core.context.directional import DirectionalAccumulator, even_tables, finish
+from elps_core.context.directional import DirectionalAccumulator, finish
 from elps_core.context.encoding import DirectionalTables
-from elps_core.context.field import DirectionalField
-from elps_core.context.gaps import slits, thinned
+from elps_core.context.gaps import kept_evenly, slits, thinned
 from elps_core.context.gather import (
+    AIMED_FOR_REGIONS,
     AIMED_FOR_TABLES,
     AREAS,
     FILLING,
     KNOWING,
+    PARTICLES,
     STREAM,
+    Gathered,
     caustics,
     gather,
+    places,
+    wanted_of_each,
 )
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.mirrored import Places, mirrored
@@ -35,23 +39,15 @@ from elps_core.context.plan import FIRST_PATHS, filling
 from elps_core.context.prospects import prospects_of
 from elps_core.context.regions import Regions
 from elps_core.context.saved import CAUSTICS, DEPARTURES, SOURCES, Arrays, Doubles, TableState
-from elps_core.context.shares import ShareTrial, best_shares
+from elps_core.context.shares import best_shares
 from elps_core.context.store import DirectionalParts
 from elps_core.context.surroundings import SHARE, sees_enough, with_pieces
-from elps_core.context.walks import WalkRecorder
-from elps_core.integrators.bdpt import Bdpt
-from elps_core.integrators.frame import LANES
-from elps_core.paths import strategies
-from elps_core.paths.roulette import RouletteRule
-from elps_core.paths.scattering import Materials
-from elps_core.paths.stream import Stream
-from elps_core.sampling.aims import AimedDirections
-from elps_core.sampling.context import PixelWorth, towards
-from elps_core.sampling.direction import ENOUGH, NEVER, Guide, GuidedDirections
-from elps_core.sampling.lights import pieces
+from elps_core.context.training import BY_ALBEDO, Step, Tables, Trainer
+from elps_core.particles.records import IMPORTON, PHOTON, ParticleArrays
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
-from elps_core.settings import USUAL_PATHS, ContextSettings
+from elps_core.settings import MOST_PATHS, USUAL_PATHS, ContextSettings
+from elps_core.timing import KernelClock
 
 CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
 """Steps of a build for the clustering, and its own steps in each: 12 are enough for it."""
@@ -59,30 +55,19 @@ REGIONS_PER_GROUP, REGIONS_PER_AIM = 16, 8
 """Regions that lend each other what they know, and that see mirrored lamps at the same points."""
 SLITS_AT = 3
 """Step of filling whose photons tell of slits: of the door's room, 3 degrees ajar, it has 3300 that may."""
-TRAINING_SHARE = 0.6
-"""Chance of a direction from the tables so far: less than in renders, since they are to change."""
-NOT_YET = 1e-6
-"""The same of tables that know nothing yet."""
-RECORDS = 1 << 21
-"""Room for the records of one pass, 50 MB: longer paths have more, so that there are fewer of them."""
-BY_ALBEDO = 2
-"""Steps of filling with roulette by albedo: by what tables hold so far paths would end that have more to find."""
 WORTHWHILE, SURELY = 0.1, 1.0
 """Part of a path's variance that a step has to win, if it could be that many standard errors more, for the next to be
 taken: that one takes about a tenth of a render's time. In the maze, with a quarter of the paths, tables are as good."""
 LENT = 0.1
 """Share of a region's table of lights that is its group's: what was not met there may be near."""
-LIGHT_PART = 4
-"""Eye paths for one light path: photons tell what eye paths cannot find. With one for each, the door's context took 2
-of 11 seconds more and paths had 3% less variance; a bulb in glass asked for no more either."""
-FED = 1000.0
-"""Records that the middle one of all regions has to have: until then there is a light path for each eye path."""
-TRAINING_NOISE = 2.0
-"""Noise of a path, over its pixel, that roulette assumes: less than there is, so that it ends few paths by tables that
-still change."""
-MOST, NOISY = 0.5, 1.2
-"""Part of the pixels, and noise of a path over its pixel: where less of them is lit, paths do not know enough to be
-compared, and where they have less noise, they do well."""
+GATHERING = 1 << 15
+"""Paths of each kind that are traced before there are regions."""
+KEPT_FOR_REGIONS = 0.5
+"""Part of their vertices that is kept: eight times as many as regions are made from, of which these are drawn."""
+GATHERED = 4
+"""Times that so many are traced, at most, where few of them meet a surface that scatters."""
+HASTY = 0.5
+"""A step that would have less than this part of the paths of the one before is not worth its fixed costs."""
 LINES = 1 << 19
 """Random lines by which areas are measured."""
 
@@ -92,8 +77,9 @@ class TableBuilder:
 
     def __init__(self, scene: mi.Scene, camera: Camera, settings: ContextSettings) -> None:
         self.scene, self.camera, self.settings = scene, camera, settings
-        self._paths = settings.paths or USUAL_PATHS
-        self._materials = Materials(scene)
+        self._paths = settings.paths or (USUAL_PATHS if settings.seconds is None else MOST_PATHS)
+        self._trainer = Trainer(scene, camera, settings)
+        self._rate: float | None = None
         self._made = TableState(PilotImage(camera.size))
         self._parents: NDArray[np.uint32] | None = None
         self._ready: dict[tuple[str, ...], DirectionalTables] = {}
@@ -112,12 +98,6 @@ class TableBuilder:
         return len(self.filling) + (1 + CLUSTER_STEPS if self._made.known is None else 0)
 
     @property
-    def _starved(self) -> bool:
-        """Whether most regions hardly know where their light comes from."""
-        sources = [self._made.sources[name] for name in ("radiance", "photons") if name in self._made.sources]
-        return not sources or float(np.median(np.sum([source.evidence for source in sources], axis=0))) < FED
-
-    @property
     def done(self) -> int:
         """Steps taken."""
         return self._made.done
@@ -131,11 +111,6 @@ class TableBuilder:
     def filled(self) -> int:
         """Steps of filling taken."""
         return max(0, self._made.done - (1 + CLUSTER_STEPS if self.knows_nothing else 0))
-
-    @property
-    def finds_noise(self) -> bool:
-        """Whether paths have found light in most pixels, and in most of these more noise than light."""
-        return self._made.pilot.lit() > MOST and self._made.pilot.noise() > NOISY
 
     def stop(self) -> None:
         """Take no more steps: the tables are good enough, or not worth it. Once filling has begun."""
@@ -160,30 +135,48 @@ class TableBuilder:
         return self._made.paths
 
     @property
-    def doublings_left(self) -> float:
-        """How many times the number of paths will double, if all are traced."""
-        return max(0.0, math.log2(self._paths / max(self._made.paths, 1)))
-
-    @property
     def particles(self) -> int:
         """Particles that regions were made from."""
         return self._made.particles
 
-    def step(self, lights: StartDensity) -> None:
-        """Take the next step, light paths starting by ``lights``."""
+    def flux(self, rows: int, columns: int) -> Doubles:
+        """Luminance that eye paths have brought from each cell of the lights, in two estimates [2, rows, columns]."""
+        if not self._made.flux.size:
+            return np.zeros((2, rows, columns))
+        return self._made.flux / np.maximum(self._made.flux_paths, 1.0)[:, None, None]
+
+    @property
+    def flux_paths(self) -> int:
+        """Eye paths that have told it."""
+        return int(self._made.flux_paths.sum())
+
+    @property
+    def caustics(self) -> bool:
+        """Whether mirrors or glass bring light to surfaces that scatter it."""
+        return self._made.aims is not None
+
+    def step(self, lights: StartDensity, left: float = float("inf")) -> None:
+        """Take the next step, light paths starting by ``lights``; no more paths are begun ``left`` seconds later."""
+        until = time.perf_counter() + left
         if self._made.known is not None:
-            self._fill(lights, self._made.done)
+            self._fill(lights, self._made.done, until)
         elif self._made.done == 0:
             self._gather(lights)
         elif self._made.clustering and self._made.done <= CLUSTER_STEPS:
             for _ in range(CLUSTER_BATCH):
                 self._made.clustering.step()
         else:
-            self._fill(lights, self._made.done - 1 - CLUSTER_STEPS)
+            self._fill(lights, self._made.done - 1 - CLUSTER_STEPS, until)
             if self._converged:
                 self.stop()
                 return
         self._made.done += 1
+
+    def worth_going_on(self, left: float) -> bool:
+        """Whether in ``left`` seconds a step can be filled with at least a part of the paths of the one before."""
+        if self._rate is None:
+            return left > 0.0
+        return left * self._rate > HASTY * self.filling[self.filled - 1]
 
     @property
     def _converged(self) -> bool:
@@ -297,129 +290,95 @@ class TableBuilder:
     # -- Regions ---------------------------------------------------------------------------------
 
     def _gather(self, lights: StartDensity) -> None:
-        places = gather(self.scene, self.camera, self.settings, lights)
-        self._made.particles, self._made.density = len(places.position), places.density
-        self._made.clustering = Clustering(places.position, places.normal, self.settings.regions, self.settings.seed)
+        settings, made = self.settings, self._made
+        if settings.particles == "walks":
+            gathered = self._from_walks(lights)
+        else:
+            gathered = gather(self.scene, self.camera, settings, lights)
+        made.particles, made.density = len(gathered.position), gathered.density
+        made.clustering = Clustering(gathered.position, gathered.normal, settings.regions, settings.seed)
+
+    def _from_walks(self, lights: StartDensity) -> Gathered:
+        """Places that the first paths of training visit, before there are regions."""
+        aimed = list(caustics(self.scene, self.settings, lights, AIMED_FOR_REGIONS))
+        undivided = RegionLookup(Regions.undivided(self.settings.regions))
+        scratch = TableState(self._made.pilot)
+        if any(len(photons) for photons in aimed):  # The kernel of later steps, which know where to aim at
+            scratch.aims = Aims.nowhere(undivided.count)
+        for name in SOURCES:
+            scratch.sources[name] = DirectionalAccumulator(undivided.count, self.settings.rows, self.settings.columns)
+        kept = kept_evenly(KEPT_FOR_REGIONS, undivided.count), kept_evenly(KEPT_FOR_REGIONS, undivided.count)
+        found: dict[int, list[ParticleArrays]] = {IMPORTON: [], PHOTON: []}
+        for run in range(GATHERED):
+            key = (self.settings.seed, STREAM, PARTICLES, run)
+            step = Step(-1, GATHERING, key, kept=kept)
+            self._trainer.train(scratch, undivided, np.ones(undivided.count), lights, Tables(), step)
+            for (kind, parts), particles in zip(found.items(), kept, strict=True):
+                parts.append(particles.buffer.take().of(kind).arrays())
+            wanted = wanted_of_each(self.settings)
+            if all(sum(len(part.weight) for part in parts) >= wanted for parts in found.values()):
+                break
+        self._made.enter_flux(scratch.flux, scratch.flux_paths)
+        return places(self.scene, self.settings, found, aimed, by_weight=True)
 
     # -- Filling ---------------------------------------------------------------------------------
 
-    def _fill(self, lights: StartDensity, number: int) -> None:
+    def _fill(self, lights: StartDensity, number: int, until: float) -> None:
         """One more step of paths, guided by what the ones before have found."""
-        regions = self.regions
+        made, regions = self._made, self.regions
         count, grid = regions.count, (self.settings.rows, self.settings.columns)
         finder = RegionLookup(regions)
         key = (self.settings.seed, STREAM, FILLING, number)
-        if self._made.areas is None:
+        if made.areas is None:
             key_areas = (self.settings.seed, STREAM, AREAS)
             areas = region_areas(self.scene, finder, count, LINES, key_areas, facing=regions.normals)
             # What no line has crossed is small, and not nothing.
-            self._made.areas = np.maximum(areas, areas[areas > 0.0].min(initial=1e30))
-        known = self._made.known
+            made.areas = np.maximum(areas, areas[areas > 0.0].min(initial=1e30))
+        known = made.known
         walks = known is not None or self.settings.particles == "walks"
         names = SOURCES[2:] if known is not None else SOURCES if walks else SOURCES[1:]
         for name in names:
-            self._made.sources.setdefault(name, DirectionalAccumulator(count, *grid))
+            made.sources.setdefault(name, DirectionalAccumulator(count, *grid))
         paths = self.filling[number]
         if walks and not known and number == 0:
-            places = Places(finder, self._made.areas, self._neighbours(REGIONS_PER_AIM), grid)
-            found = mirrored(self.scene, places, caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES))
+            aims = Places(finder, made.areas, self._neighbours(REGIONS_PER_AIM), grid)
+            found = mirrored(self.scene, aims, caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES))
             if found:
-                self._made.aims, self._made.sources[CAUSTICS] = found
+                made.aims, made.sources[CAUSTICS] = found
         if walks:
-            self._walk(lights, finder, self._made.areas, paths, number, key)
+            paths = self._walk(lights, finder, made.areas, Step(number, paths, key, until))
         else:
-            collect(self.scene, self.camera, self.settings, lights, finder, self._made, paths, key)
-        self._made.paths += paths
+            collect(self.scene, self.camera, self.settings, lights, finder, made, paths, key)
+        made.paths += paths
         self._ready.clear()
 
-    def _walk(
-        self,
-        lights: StartDensity,
-        finder: RegionLookup,
-        areas: Doubles,
-        paths: int,
-        number: int,
-        key: tuple[int, ...],
-    ) -> None:
-        if self._made.known:
-            self._made.known = with_pieces(self._made.known, lights)
-        pilot, size, known = self._made.pilot, self.camera.size, self._made.known
-        importance, places, light = self._made.sources["importance"], known or self._made, None
-        # The kernels of the steps that follow: first with tables that know nothing, then with roulette by albedo.
-        nothing = even_tables(finder.count, self.settings.rows, self.settings.columns)
-        tables = known.radiance if known else self._finished("radiance", "photons") if number else nothing
-        aims = AimedDirections(places.aims, tables.irradiance) if places.aims else None
-        share = TRAINING_SHARE if number or known else NOT_YET
-        eye = Guide(DirectionalField(finder, tables), share, towards(aims, places.slits, "eye"))
-        if not known:
-            # Light paths that know where the sensor is bring photons from what eye paths cannot find.
-            where, share = (self._finished("importance"), TRAINING_SHARE) if number > 1 else (nothing, NOT_YET)
-            light = Guide(DirectionalField(finder, where), share, towards(None, self._made.slits, "light"))
-        enough = NEVER if number < BY_ALBEDO else ENOUGH
-        if number == 0:  # What importance is worth is not known before there is a pilot.
-            importance = DirectionalAccumulator(finder.count, self.settings.rows, self.settings.columns)
-        bdpt = Bdpt(
-            self.scene,
-            self.camera,
-            lights,
-            max_depth=self.settings.max_depth,
-            roulette=RouletteRule("context", 5),
-            strategies=strategies.path(),
-            directions=GuidedDirections(self._materials, finder, eye, light, enough=enough),
-            worth=PixelWorth(pilot.image(), TRAINING_NOISE, size),
-        )
-        pilot.begin_step()
-        hungry = self._starved
-        recorder, regions = WalkRecorder(bdpt, finder), finder.count
-        grid = (self.settings.rows, self.settings.columns)
-        direct = on_device(mi.Float, self._made.lights)
-        if not dr.width(direct):
-            direct = dr.zeros(mi.Float, max(1, finder.count * pieces(lights)))
-        if pieces(lights):
-            self._made.sources.setdefault(DEPARTURES, DirectionalAccumulator(pieces(lights), *grid))
-        leaving = self._made.sources.get(DEPARTURES)
-        seen = self._made.sources.get("radiance") or DirectionalAccumulator(finder.count, *grid)
-        photons = self._made.sources.get("photons")
+    def _walk(self, lights: StartDensity, finder: RegionLookup, areas: Doubles, step: Step) -> int:
+        """Fill tables by walks; how many paths were traced."""
+        made, known, number = self._made, self._made.known, step.number
+        if known:
+            known = made.known = with_pieces(known, lights)
         # From the first step of each kernel on, so that there is one only.
         now = number == SLITS_AT and not known
-        of_eye = thinned(importance.evidence, now=now)
+        photons = made.sources.get("photons")
+        of_eye = thinned(made.sources["importance"].evidence, now=now)
         of_light = thinned(photons.evidence, now=now) if photons else None
-        if not known:
-            self._made.moments = seen.moments()
-        colours = on_device(mi.Float, self._made.colours if self._made.colours.size else np.zeros((regions, 3)))
-        trial = ShareTrial(regions, TRAINING_SHARE) if not known else None
-        # Two passes at least, each a batch, so that noise is known.
-        passes = max(2, -(-paths * self.settings.max_depth // RECORDS))
-        here = -(-paths // passes)
-        lanes = min(here, LANES[dr.backend_v(mi.Float)])
-        for part in range(passes):
-            stream = Stream.of(lanes, *key, part, 0)
-            place = Stream.of(here, *key, part, 2).next_2d()
-            found = recorder.eye_paths(
-                place * mi.Point2f(size), stream, seen, importance, direct, leaving, trial, of_eye
-            )
-            pilot.enter(place, found)
-            seen.close_batch()
-            if leaving:
-                leaving.close_batch(1.0)
-            importance.close_batch(here * areas)
-            if photons is None:
-                continue
-            lit = here if hungry else max(1, here // LIGHT_PART)
-            recorder.light_paths(lit, Stream.of(min(lit, lanes), *key, part, 1), photons, colours, of_light)
-            photons.close_batch(lit * areas)
+        tables = Tables(
+            radiance=self._finished("radiance", "photons") if number and not known else None,
+            importance=self._finished("importance") if number > 1 and not known else None,
+            known=known,
+        )
+        begin = time.perf_counter()
+        with KernelClock() as kernels:
+            step = replace(step, kept=(of_eye, of_light))
+            traced = self._trainer.train(made, finder, areas, lights, tables, step)
+        # Kernels that were compiled now will be there for the next step.
+        self._rate = traced / max(time.perf_counter() - begin - kernels.compiling, 1e-3)
         if now and photons and of_light:
-            cell = 4.0 * np.pi / (grid[0] * grid[1])
+            cell = 4.0 * np.pi / (self.settings.rows * self.settings.columns)
             lenders, flux = self._groups(), photons.moments()[1]
             bright = np.bincount(lenders, flux)[lenders] / np.bincount(lenders, areas)[lenders]
-            finding = (finder, lenders, bright, cell, self.settings.seed)
-            self._made.slits = slits(self.scene, of_light, of_eye, *finding)
-        if not known:
-            self._made.colours = np.array(colours, np.float64).reshape(regions, 3)
-        if trial and number:
-            self._made.chances = np.array(trial.sums, np.float64).reshape(regions, -1)
-        if pieces(lights) and not known:
-            self._made.lights = np.array(direct, np.float64).reshape(finder.count, -1)
+            made.slits = slits(self.scene, of_light, of_eye, finder, lenders, bright, cell, self.settings.seed)
+        return traced
 
 
 def _normalised(sums: Doubles) -> Doubles:

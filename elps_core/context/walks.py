@@ -92,13 +92,15 @@ class WalkRecorder:
         departures: DirectionalAccumulator | None = None,
         shares: ShareTrial | None = None,
         kept: Thinned | None = None,
+        flux: mi.Float | None = None,
     ) -> mi.Float:
         """One path from each ``position`` on the film, in the lanes of ``stream``; the luminance that each has found.
 
         Importance counts what a pixel is worth, and is left out at the first vertex: joining light paths to the
         sensor covers that. What light sampling finds is added to ``lights`` [regions * pieces], per unit of throughput;
         what reaches the image at all, to ``departures``, by piece and direction. ``shares`` learns what other chances
-        of a direction from the tables would have been worth. Some importons are ``kept``.
+        of a direction from the tables would have been worth. Some importons are ``kept``. The luminance that the
+        cells of the start density bring to the film is added to ``flux`` [columns * rows].
         """
         bdpt = self.bdpt
         pieces = region_lights.pieces(bdpt.lights)
@@ -128,7 +130,12 @@ class WalkRecorder:
             later = smooth & (vertex.depth > 1)
             importance.add(region, vertex.si.to_world(vertex.si.wi), worth, later)
             if kept:
-                kept.add(vertex.si, worth, vertex.depth, IMPORTON, region, walk.stream, later)
+                kept.add(vertex.si, worth, vertex.depth, IMPORTON, region, walk.stream, smooth)
+            if flux is not None:
+                for cell, value, some in ((start.cell, lit, direct), (met, emitted, active)):
+                    amount = _bright(value, wavelengths)
+                    some = some & (amount > 0.0) & dr.isfinite(amount)
+                    dr.scatter_reduce(dr.ReduceOp.Add, flux, amount, cell, some)
             if departures:
                 at_all = walk.worth / gain
                 leave_to = dr.normalize(vertex.si.p - start.point.si.p)
@@ -193,6 +200,7 @@ class WalkRecorder:
             what,
             importance.state,
             lights,
+            flux,
             [each.state for each in (departures, kept and kept.buffer) if each],
         )
         number = dr.arange(mi.UInt32, bdpt.max_depth * paths)

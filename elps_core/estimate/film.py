@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,8 +87,8 @@ class Accumulation:
         """No samples yet; sizes in pixels."""
         return cls(width, height)
 
-    def add(self, chunk: Chunk) -> None:
-        """Add a chunk.
+    def add(self, chunk: Chunk, factor: float = 1.0) -> None:
+        """Add a chunk, whose samples count ``factor`` as much as others: it must not depend on the samples.
 
         Raises:
             ValueError: the chunk's size differs, or its index is already in.
@@ -97,7 +97,7 @@ class Accumulation:
             raise ValueError("the chunk has another size")
         if chunk.index in self.chunks:
             raise ValueError(f"chunk {chunk.index} is already in")
-        weight = chunk.weight.astype(np.float64)[..., None]
+        weight = factor * chunk.weight.astype(np.float64)[..., None]
         image = chunk.image.astype(np.float64)
         self._weight += weight
         self._sum += weight * image
@@ -113,6 +113,16 @@ class Accumulation:
         """Add several chunks."""
         for chunk in chunks:
             self.add(chunk)
+
+    def weighted(self, factor: float) -> Accumulation:
+        """The same image, whose samples count ``factor`` as much as others when it is merged with these.
+
+        The factor must not depend on the samples themselves.
+        """
+        other = replace(self, chunks=set(self.chunks))
+        other._weight, other._sum, other._square = (factor * part for part in (self._weight, self._sum, self._square))
+        other._statistics = {name: list(values) for name, values in self._statistics.items()}
+        return other
 
     def merge(self, other: Accumulation) -> None:
         """Add all that ``other`` holds.

@@ -10,6 +10,8 @@ three to eight in rooms with more to compute, or at greater depth. Samples are e
 a chunk."""
 BASELINE_SAMPLES = 1 << 22
 """Of Mitsuba's own integrators."""
+MEANTIME = 1 << 20
+"""Index of the first chunk that is rendered by the plain way of ``auto`` before there is a context."""
 BOOTSTRAP_RATIO = 4
 """Mutations for each path that a Metropolis chunk spends on finding where its chains start, at least."""
 
@@ -24,6 +26,8 @@ def chunk_spp(index: int, settings: RenderSettings, size: tuple[int, int]) -> in
     """
     pixels = size[0] * size[1]
     full = max(1, FULL_SAMPLES.get(settings.integrator, BASELINE_SAMPLES) // pixels).bit_length() - 1
+    if index >= MEANTIME:
+        return 1 << min(max(0, index - MEANTIME - 1), max(1, BASELINE_SAMPLES // pixels).bit_length() - 1)
     first = 0
     if settings.integrator == "pssmlt":
         # Chains need no more: smaller chunks have fewer of them.

@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from elps_core.estimate.film import Accumulation
+from elps_core.estimate.schedule import MEANTIME
 from elps_core.io.exr import Attribute, write_exr
 from elps_core.settings import RenderSettings
 
@@ -54,6 +55,8 @@ def write_result(
     }
     if context is not None:
         attributes["contextDigest"] = context
+    if merged.chunks and min(merged.chunks) >= MEANTIME:
+        attributes["preliminary"] = "by plain paths: the context is not there yet"
     if unreachable:
         attributes["unreachable"] = "; ".join(unreachable)
     for name, statistic in merged.statistics().items():

@@ -70,7 +70,14 @@ class Particles:
 
     def of(self, kind: int) -> Particles:
         """Those of one kind, in the same order."""
-        chosen = dr.compress(self.kind == kind) if self.count else mi.UInt32()
+        return self._where(self.kind == kind) if self.count else self
+
+    def deeper(self, depth: int) -> Particles:
+        """Those of a ``depth`` or more, in the same order."""
+        return self._where(self.depth >= depth) if self.count and depth > 1 else self
+
+    def _where(self, wanted: mi.Bool) -> Particles:
+        chosen = dr.compress(wanted)
         count = dr.width(chosen)
         if count == 0:
             return _none()

@@ -13,6 +13,7 @@ from collections import Counter
 from contextlib import ExitStack
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,8 @@ from elps_core.scene.text import is_plain, shown
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from elps_core.scene.emission import Emission
 
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
@@ -82,6 +85,17 @@ class LoadedScene:
     """Which camera of the scene file was chosen."""
     surroundings: str
     """Digest of the scene without its cameras."""
+
+    @cached_property
+    def emission(self) -> Emission:
+        """All its emitters, described when they are first asked for.
+
+        Raises:
+            SceneRejected: no emitter, or one that our integrators do not support.
+        """
+        from elps_core.scene.emission import Emission  # Needs a variant to be set
+
+        return Emission(self.scene)
 
 
 def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, int] | None = None) -> LoadedScene:

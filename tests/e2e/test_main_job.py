@@ -14,9 +14,9 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from elps_core.choice import CANDIDATES
 from PIL import Image
 
-from elps_core.choice import CANDIDATES
 from elps_core.io.exr import read_exr
 from elps_core.settings import ContextSettings, RenderSettings, StopCriterion
 from service.client import Client, ServiceError

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-
 from elps_core.choice import CANDIDATES
+
 from elps_core.estimate.schedule import chunk_spp
 from elps_core.settings import RenderSettings, StopCriterion
 from worker.advance import Decision, decide, eta_seconds, mergeable, publish_due, worth_starting

@@ -47,7 +47,7 @@ def test_the_weighted_strategies_add_up_to_the_image(box: Path, tmp_path: Path) 
     from elps_core.settings import RenderSettings
 
     scene = load_scene(box, "llvm_ad_rgb", size=SIZE)
-    settings = RenderSettings(light_sampling="power", max_depth=4)
+    settings = RenderSettings(integrator="bdpt", light_sampling="power", max_depth=4)
     # The same random numbers, so that this is no question of noise.
     whole = Renderer(scene, settings).render_chunk(0, SPP).image
     np.testing.assert_allclose(np.sum(list(parts.values()), axis=0), whole, rtol=1e-3, atol=1e-4)

@@ -173,7 +173,7 @@ def test_eye_paths_tell_where_they_met_a_lamp_in_the_first_batch_too(
 
 
 def test_a_context_of_other_lights_is_refused(two_lights: Any, mi: Any) -> None:
-    from elps_core.context.build import start_density
+    from elps_core.context.build import check_lights
     from elps_core.context.store import GlobalContext
     from elps_core.errors import ContextMismatch
     from elps_core.scene.emission import Emission
@@ -184,4 +184,4 @@ def test_a_context_of_other_lights_is_refused(two_lights: Any, mi: Any) -> None:
         "d", "s", 0, ContextSettings(), np.ones((4, 4), np.float32), emission.keys + np.float32(0.5), {}
     )
     with pytest.raises(ContextMismatch):
-        start_density(context, emission)
+        check_lights(context, emission)

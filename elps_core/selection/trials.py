@@ -1,10 +1,11 @@
-"""Pilots: how efficient each candidate is in a scene, measured on samples that no image will hold."""
+"""Trials: how efficient a candidate is in a scene, measured on samples that no image will hold."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
-from elps_core.choice import TWINS, WITH_CAUSTICS, Pilot, candidate
+from elps_core.context.adjoint import density_of
 from elps_core.context.pilot_image import DARK, blurred
 from elps_core.context.store import DirectionalParts
 from elps_core.integrators.bdpt import Bdpt, Splat
 from elps_core.integrators.make import paths_of
 from elps_core.paths.nets import Nets
 from elps_core.paths.stream import Stream, opaque_key
-from elps_core.sampling.start import StartDensity
+from elps_core.scene.emission import Emission
 from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
+from elps_core.selection.candidates import Candidate, Trial
 from elps_core.settings import ContextSettings, RenderSettings
 from elps_core.timing import KernelClock
 
@@ -29,8 +31,8 @@ BLOCK = 1 << 15
 """Samples of a block."""
 POINTS = 16
 """Samples of a set, spread evenly as in renders; each pixel has two sets, whose difference tells of noise alone."""
-LEAST, MOST, SECONDS, SCOUTING = 2, 16, 0.25, 0.15
-"""Blocks of a candidate; no more are begun after this time, or that of a scout."""
+LEAST, MOST, SECONDS = 2, 16, 0.25
+"""Blocks of a trial; no more are begun after this time."""
 PAIRS = BLOCK // (2 * POINTS)
 """Pixels of a block."""
 TURNS = 4
@@ -50,8 +52,8 @@ SINGULAR = 0.5
 SUMS = 1 << 10
 """Places that a sum is spread over by the number of the path: threads seldom meet, and the scatter tells its error."""
 BEHIND = 4.0
-"""Times as efficient as a scout another one is, where the scout has seen enough after its least blocks, even if it is
-better by a standard error."""
+"""Times as efficient as a candidate another one is, where the least blocks have told enough of it, even if it is better
+by a standard error."""
 SURELY = 2.0
 """Standard errors by which what light paths tell of eye paths is taken to be less: at a door that is ajar by 3 degrees
 it was 14 to 660 and is 0 to 6 so, with a bulb in glass 300 to 550 and is 190 to 290."""
@@ -70,7 +72,7 @@ def without_singular(variance: NDArray[np.float64]) -> NDArray[np.bool_]:
 
     A variance that one event has decided is not known: the same event, met or not met by chance, would speak for or
     against a candidate. What it has brought counts as not met then, in the mean, too. Light paths tell of what they
-    can bring in place of such an event, see :class:`Pilot`.
+    can bring in place of such an event, see :class:`Trial`.
     """
     kept = np.ones(variance.shape, bool)
     left = variance.copy()
@@ -85,7 +87,7 @@ def at_least(parts: NDArray[np.float64]) -> float:
     return float(parts.mean() - SURELY * parts.std(ddof=1) / np.sqrt(len(parts)))
 
 
-def _said(name: str, found: list[_Block], seconds: list[float]) -> Pilot:
+def _said(name: str, found: list[_Block], seconds: list[float]) -> Trial:
     """What blocks of a candidate say, whose kernels took so many ``seconds`` each; no rival yet."""
     count = len(found)
     kinds = [np.stack(every, axis=1) for every in ([b.by_eye for b in found], [b.by_light for b in found])]
@@ -97,7 +99,7 @@ def _said(name: str, found: list[_Block], seconds: list[float]) -> Pilot:
     kinds = np.split(parts, [kinds[0].shape[2]], axis=2)
     by_part = np.sqrt(sum(kind.var(axis=2, ddof=1).mean(axis=1) * kind.shape[2] for kind in kinds) / count)
     (variance, mean), (error, mean_error) = both.mean(axis=1), np.maximum(by_block, by_part)
-    return Pilot(
+    return Trial(
         name=name,
         variance=float(variance),
         error=float(error),
@@ -108,18 +110,21 @@ def _said(name: str, found: list[_Block], seconds: list[float]) -> Pilot:
     )
 
 
-class PilotRunner:
-    """Runs candidates in one scene, each for about a quarter of a second."""
+class TrialRunner:
+    """Tries candidates in one scene, each for about a quarter of a second."""
 
     def __init__(
         self,
         scene: mi.Scene,
         camera: Camera,
-        lights: StartDensity,
+        emission: Emission,
+        adjoint: NDArray[np.floating[Any]],
         parts: DirectionalParts,
         settings: ContextSettings,
     ) -> None:
-        self._scene, self._camera, self._lights, self._parts = scene, camera, lights, parts
+        """``adjoint`` [rows, columns] and ``parts`` are what the context knows so far."""
+        self._scene, self._camera, self._parts = scene, camera, parts
+        self._emission, self._adjoint = emission, adjoint
         self._settings = RenderSettings(integrator="bdpt", max_depth=settings.max_depth, context=settings)
         pilot = np.asarray(parts.pilot, np.float64)
         for _ in range(BLURS):
@@ -132,40 +137,33 @@ class PilotRunner:
         self._last = dr.opaque(mi.Point2u, [width - 1, height - 1])
         self._scale = dr.opaque(mi.Point2f, [width / int(camera.size.x), height / int(camera.size.y)])
 
-    def run(self, name: str, others: Iterable[Pilot] = (), *, scout: bool = False, brief: bool = False) -> Pilot:
-        """Measure the candidate ``name``, by samples of their own and fewer if it is a ``scout``.
-
-        With as many samples as that one of the ``others`` had that makes the same eye paths; a scout that is far behind
-        one of them with the fewest, and so one that is to be ``brief``, which says nothing of rivals.
-        """
-        settings = candidate(self._settings, name)
-        bdpt = paths_of(self._scene, self._camera, self._lights, settings, self._parts)
+    def run(self, candidate: Candidate, others: Iterable[Trial] = ()) -> Trial:
+        """Measure a candidate: no longer than it takes where one of the ``others`` is far ahead of it."""
+        settings = candidate.settings(self._settings)
+        lights = density_of(settings.light_sampling, self._emission, self._adjoint, settings.context)
+        bdpt = paths_of(self._scene, self._camera, lights, settings, self._parts if settings.needs_tables else None)
         # The same numbers for all candidates: what one has met by chance others have, where they make the same paths.
-        key = (self._settings.context.seed, STREAM, int(scout))
-        limit = SCOUTING if scout else SECONDS
-        others = tuple(others)
-        twin = next((pilot for pilot in others if pilot.name == TWINS.get(name)), None)
-        least, most = (twin.samples // BLOCK,) * 2 if twin else (LEAST, LEAST if brief else MOST)
-        best = max((pilot.efficiency for pilot in others), default=0.0) if scout else 0.0
+        key = (self._settings.context.seed, STREAM)
+        best = max((trial.efficiency for trial in others), default=0.0)
         found: list[_Block] = []
         seconds: list[float] = []
-        begin = time.perf_counter()
-        while len(found) < least or (len(found) < most and time.perf_counter() - begin < limit):
+        compiling, begin = 0.0, time.perf_counter()
+        while len(found) < LEAST or (len(found) < MOST and time.perf_counter() - begin < SECONDS):
             # Of kernels alone: what comes before they run is the same for the many more samples of a chunk.
             with KernelClock() as kernels:
                 found.append(self._block(bdpt, (*key, len(found))))
             seconds.append(kernels.running)
+            compiling += kernels.compiling
             if len(found) == 1:  # Compiled, and perhaps for the first time
                 begin = time.perf_counter()
-            elif len(found) == least and best > 0.0:
-                so_far = _said(name, found, seconds)
-                if BEHIND * replace(so_far, variance=so_far.variance - so_far.error).efficiency < best:
-                    break
-        rival = self._rival(bdpt, (*key, RIVAL)) if name == WITH_CAUSTICS and not brief else 0.0
-        return replace(_said(name, found, seconds), rival=rival)
+            elif len(found) == LEAST and BEHIND * _said(candidate.name, found, seconds).bound(-1.0) < best:
+                break
+        tells = candidate.light_paths == "unjoined"
+        rival = self._rival(bdpt, (*key, RIVAL)) if tells else 0.0
+        return replace(_said(candidate.name, found, seconds), rival=rival, compiling=compiling)
 
     def _block(self, bdpt: Bdpt, key: tuple[int, ...]) -> _Block:
-        """What a block's samples say of variance and mean, see :class:`Pilot`.
+        """What a block's samples say of variance and mean, see :class:`Trial`.
 
         Eye paths come in two sets for a pixel: half the square of their difference. Of light paths
         the sum of squares: what all that meet a pixel bring together is far more than one brings.
