@@ -18,6 +18,7 @@ from elps_core.particles.records import PHOTON, ParticleBuffer, Particles
 from elps_core.paths.scattering import Materials
 from elps_core.paths.stream import Stream
 from elps_core.sampling.start import StartDensity
+from elps_core.scene.pieces import only_turns, pieces_of
 from elps_core.scene.spectrum import luminance, sample_wavelengths, white
 
 BATCH = 1 << 18
@@ -56,16 +57,18 @@ class CausticSampler:
     """
 
     def __init__(self, scene: mi.Scene, lights: StartDensity, *, max_depth: int, paths: int) -> None:
-        shapes = [shape for shape in scene.shapes() if _only_turns(shape.bsdf())]
-        self.count = len(shapes)
-        """Shapes that light paths are aimed at; where there are none, there is nothing to run."""
+        turning = [shape for shape in scene.shapes() if only_turns(shape.bsdf())]
+        pieces = [piece for shape in turning for piece in pieces_of(shape)]
+        self.count = len(pieces)
+        """Separate shapes that light paths are aimed at; where there are none, there is nothing to run."""
         self.paths, self._max_depth = paths, max_depth
         self._scene, self._lights, self._materials = scene, lights, Materials(scene)
-        if not shapes:
+        if not pieces:
             return
-        self._ids = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes))
-        spheres = [shape.bbox().bounding_sphere() for shape in shapes]
-        self._spheres = on_device(mi.Float, np.array([[*ball.center, ball.radius] for ball in spheres], np.float32))
+        self._ids = dr.reinterpret_array(mi.UInt32, mi.ShapePtr([piece.shape for piece in pieces]))
+        self._faces = on_device(mi.UInt32, np.array([[piece.first, piece.end] for piece in pieces]))
+        spheres = np.array([[*piece.centre, piece.radius] for piece in pieces], np.float32)
+        self._spheres = on_device(mi.Float, spheres)
         self._far = dr.opaque(mi.Float, 2.0 * float(scene.bbox().bounding_sphere().radius))
         self._number = dr.opaque(mi.UInt32, self.count)
 
@@ -130,12 +133,9 @@ class CausticSampler:
         ray = mi.Ray3f(origin, direction, point.si.time, wavelengths)
         met = self._scene.ray_intersect_preliminary(ray, active=every & ~point.delta & (cosine > 0.0))
         first = met.is_valid() & (dr.reinterpret_array(mi.UInt32, met.shape) == dr.gather(mi.UInt32, self._ids, which))
+        # Of many panes that are one mesh, the one that the path is aimed at.
+        faces = dr.gather(mi.Vector2u, self._faces, which)
+        first &= (met.prim_index >= faces.x) & (met.prim_index < faces.y)
         flux = radiance * scale * (cosine * per_pdf * mi.Float(self._number) / start.pdf)
         bright = luminance(mi.UnpolarizedSpectrum(radiance) * scale, wavelengths) / white()
         return _Path(ray, flux, bright, dr.zeros(mi.UInt32, lanes), stream, first)
-
-
-def _only_turns(bsdf: mi.BSDF) -> bool:
-    """Whether a material mirrors and refracts, and does nothing else."""
-    flags = bsdf.flags()
-    return bool(mi.has_flag(flags, mi.BSDFFlags.Delta)) and not mi.has_flag(flags, mi.BSDFFlags.Smooth)

@@ -44,8 +44,6 @@ _MEDIUM = (
 )
 _NO_SURFACE = ("instance", "shapegroup")
 """Shapes whose surfaces are those of others."""
-DEFAULT_MATERIAL = "diffuse"
-"""Mitsuba's own, where a shape names none."""
 _TOO_LARGE = "the scene needs more memory than there is: make its meshes and images smaller"
 _LOCATION = re.compile(r"\(line (\d{1,9}), col \d+\)")
 
@@ -124,9 +122,9 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
         else:
             xml = source
         canonical = canonicalize(xml, sensor=sensor, size=size)
-        scene = _instantiate(mi_, canonical, variant)
+        scene, triangles = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
-        summary = _summarize(scene, canonical)
+        summary = _summarize(scene, canonical, triangles)
     chosen = scene.sensors()[sensor]
     shown_size = summary.sensors[sensor]
     film = (shown_size.width, shown_size.height)
@@ -265,14 +263,16 @@ def _resize(sensor: Node, objects: list[Node], size: tuple[int, int]) -> None:
     sensor.children = [child for child in sensor.children if id(child) not in replaced] + [film]
 
 
-def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> mi.Scene:
+def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> tuple[mi.Scene, int]:
+    """The scene, and the triangles of all its meshes."""
+    from elps_core.scene import merging  # here: it needs the variant that is set by now
+
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
     # Objects made in parallel are numbered in the order in which threads were done, kernels that call them differ from
     # process to process, and none is found again on disk.
     config.parallel = False
-    # Mitsuba 3.9 leaves a merged mesh of rectangles without a bounding box, and the scene with it; shapes
-    # also keep their ids this way.
+    # Done by ourselves, in an order that is always the same.
     config.merge_meshes = False
     level = mi_.log_level()
     # Mitsuba's warnings name files of the host.
@@ -281,14 +281,18 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> mi.Scene:
         state = mi_.parser.parse_string(config, canonical.text)
         _check_again(state, canonical)
         mi_.parser.transform_all(config, state)
-        scene: mi.Scene = mi_.parser.instantiate(config, state)
+        names = merging.candidates(state)
+        parts = merging.make_parts(config, state)
+        triangles = measure.triangles(merging.shapes_of(parts))
+        parts = merging.merge(parts, names)
+        scene = merging.make_scene(parts)
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
         if isinstance(error, MemoryError) or "bad_alloc" in str(error):
             raise SceneRejected(_TOO_LARGE) from None
         raise SceneRejected(_explain(str(error), canonical)) from None
     finally:
         mi_.set_log_level(level)
-    return scene
+    return scene, triangles
 
 
 def _leave_only_mitsuba(mi_: Any) -> None:
@@ -333,7 +337,8 @@ def _explain(raw: str, canonical: CanonicalScene) -> str:
     return f"{node}: Mitsuba cannot make this object: check its parameters"
 
 
-def _summarize(scene: mi.Scene, canonical: CanonicalScene) -> SceneSummary:
+def _summarize(scene: mi.Scene, canonical: CanonicalScene, triangles: int) -> SceneSummary:
+    measure.check_bounds(scene)
     objects = canonical.root.objects()
     made = scene.sensors()  # in the order of the file
     if len(made) != len(canonical.sensors):
@@ -348,7 +353,7 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene) -> SceneSummary:
         emitters=tuple(EmitterSummary(type=kind, count=count) for kind, count in sorted(counts.items())),
         bsdfs=tuple(sorted(_materials(objects))),
         shapes=sum(node.tag == "shape" for node in objects),
-        triangles=measure.triangles(scene),
+        triangles=triangles,
         warnings=_warnings({node.tag for node in objects}),
     )
 
@@ -362,7 +367,7 @@ def _materials(objects: list[Node]) -> set[str]:
         return [target for target in targets if target is not None and target.tag == "bsdf"]
 
     shapes = [node for node in objects if node.tag == "shape" and node.type not in _NO_SURFACE]
-    found = {DEFAULT_MATERIAL} if any(not parts(shape) for shape in shapes) else set()
+    found = {plugins.DEFAULT_MATERIAL} if any(not parts(shape) for shape in shapes) else set()
     rest = [part for shape in shapes for part in parts(shape)]
     seen: set[int] = set()
     while rest:

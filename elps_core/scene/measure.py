@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,22 +17,30 @@ MAX_FILTER_RADIUS = 32.0
 """Pixels; the film's border and the cost of a splat grow with it. Filters in use reach 2 to 4."""
 
 
-def triangles(scene: mi.Scene) -> int:
+def triangles(shapes: Iterable[mi.Shape]) -> int:
     """Count the triangles of all meshes; check that their vertices are finite and their indices valid.
 
     Raises:
         SceneRejected: a mesh with vertices that are not finite, or faces without vertices.
     """
     count = 0
-    for shape in scene.shapes():
+    for shape in shapes:
         if shape.is_mesh():
             count += int(shape.face_count())
             _check_mesh(shape)
+    return count
+
+
+def check_bounds(scene: mi.Scene) -> None:
+    """Refuse a scene whose bounding box is not finite.
+
+    Raises:
+        SceneRejected: so it is.
+    """
     bounds = scene.bbox()
     corners = np.array([bounds.min, bounds.max], dtype=np.float64)
     if scene.shapes() and not (np.isfinite(corners).all() and (corners[0] <= corners[1]).all()):
         raise SceneRejected("the scene's bounding box is not finite: check the transforms of its shapes")
-    return count
 
 
 def _check_mesh(mesh: mi.Mesh) -> None:

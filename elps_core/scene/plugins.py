@@ -108,6 +108,9 @@ Left out on purpose: ``blender`` takes raw memory addresses; ``merge`` is Mitsub
 ``ellipsoidsmesh`` serve radiance fields, and a file of the wrong layout crashes them.
 """
 
+DEFAULT_MATERIAL = "diffuse"
+"""Mitsuba's own, which it makes anew for each shape that names none."""
+
 FILE_READERS: dict[tuple[str, str], str] = {
     ("shape", "obj"): "obj",
     ("shape", "ply"): "ply",

@@ -8,6 +8,7 @@ from elps_core.scene.generate.common import SceneDescription, write
 from elps_core.scene.generate.cornell import cornell
 from elps_core.scene.generate.door import door
 from elps_core.scene.generate.maze import maze
+from elps_core.scene.generate.office import office
 from elps_core.scene.generate.sphere import sphere
 
 GENERATORS: dict[str, Callable[..., SceneDescription]] = {
@@ -15,7 +16,8 @@ GENERATORS: dict[str, Callable[..., SceneDescription]] = {
     "door": door,
     "cornell": cornell,
     "sphere": sphere,
+    "office": office,
 }
 """Every scene by the name that the command line gives it."""
 
-__all__ = ["GENERATORS", "SceneDescription", "cornell", "door", "maze", "sphere", "write"]
+__all__ = ["GENERATORS", "SceneDescription", "cornell", "door", "maze", "office", "sphere", "write"]

@@ -140,6 +140,25 @@ class SceneBuilder:
         ET.SubElement(bsdf, "float", name="alpha", value=_text(roughness))
         return name
 
+    def plastic(self, name: str, color: Color, roughness: float | None = None) -> str:
+        """A coloured base under a clear coat, smooth or of a ``roughness`` (GGX, its alpha); returns its name."""
+        bsdf = ET.SubElement(self._root, "bsdf", type="plastic" if roughness is None else "roughplastic", id=name)
+        ET.SubElement(bsdf, "rgb", name="diffuse_reflectance", value=_text(color))
+        if roughness is not None:
+            ET.SubElement(bsdf, "string", name="distribution", value="ggx")
+            ET.SubElement(bsdf, "float", name="alpha", value=_text(roughness))
+        return name
+
+    def checkered(self, name: str, dark: Color, light: Color, tiles: tuple[float, float]) -> str:
+        """A Lambertian material of two colours in turns, ``tiles`` pairs of them each way; returns its name."""
+        bsdf = ET.SubElement(self._root, "bsdf", type="diffuse", id=name)
+        texture = ET.SubElement(bsdf, "texture", type="checkerboard", name="reflectance")
+        to_uv = ET.SubElement(texture, "transform", name="to_uv")
+        ET.SubElement(to_uv, "scale", x=_text(tiles[0]), y=_text(tiles[1]))
+        for number, color in enumerate((dark, light)):
+            ET.SubElement(texture, "rgb", name=f"color{number}", value=_text(color))
+        return name
+
     def mesh(self, name: str, mesh: Mesh, material: str, *, flat: bool = True, radiance: Color | None = None) -> None:
         """A mesh as a PLY file; ``flat`` keeps the triangles' own normals, else they are interpolated."""
         path = f"meshes/{name}.ply"
@@ -168,9 +187,16 @@ class SceneBuilder:
             ET.SubElement(shape, "boolean", name="flip_normals", value="true")
 
     def flat(
-        self, kind: str, name: str, center: ArrayLike, u: ArrayLike, v: ArrayLike, material: str, radiance: Color
+        self,
+        kind: str,
+        name: str,
+        center: ArrayLike,
+        u: ArrayLike,
+        v: ArrayLike,
+        material: str,
+        radiance: Color | None = None,
     ) -> None:
-        """A luminous ``rectangle`` or ``disk`` with the half axes ``u`` and ``v``; its front is along u x v."""
+        """A ``rectangle`` or ``disk`` with the half axes ``u`` and ``v``; its front is along u x v."""
         shape = self._shape(kind, name, material, radiance)
         u, v, center = (np.asarray(vector, dtype=np.float64) for vector in (u, v, center))
         normal = np.cross(u, v)
@@ -195,6 +221,11 @@ class SceneBuilder:
         x, y, z = (_text(value) for value in np.asarray(position, dtype=np.float64))
         ET.SubElement(emitter, "point", name="position", x=x, y=y, z=z)
         ET.SubElement(emitter, "rgb", name="intensity", value=_text([intensity] * 3))
+
+    def sky(self, name: str, radiance: Color) -> None:
+        """Light of ``radiance`` from all directions."""
+        emitter = ET.SubElement(self._root, "emitter", type="constant", id=name)
+        ET.SubElement(emitter, "rgb", name="radiance", value=_text(radiance))
 
     def finish(self) -> SceneDescription:
         """The collected scene."""

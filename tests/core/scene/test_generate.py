@@ -12,7 +12,7 @@ import pytest
 
 from elps_core import device
 from elps_core.errors import SettingsRejected
-from elps_core.scene.generate import GENERATORS, SceneDescription, cornell, door, maze, sphere, write
+from elps_core.scene.generate import GENERATORS, SceneDescription, cornell, door, maze, office, sphere, write
 from elps_core.scene.generate.cornell import FLUX
 from elps_core.scene.generate.maze import label
 from elps_core.scene.generate.mesh import smooth
@@ -178,3 +178,32 @@ def test_a_place_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path) -
         with pytest.raises(SettingsRejected, match=r"^the scene cannot be written there \([^/]*\): choose") as caught:
             write(sphere(), output)
         assert str(tmp_path) not in str(caught.value)
+
+
+def test_an_office_has_a_thousand_meshes_or_one_for_each_material(tmp_path: Path) -> None:
+    summaries = []
+    for name, scene in (("many", office()), ("one", office(merged=True))):
+        write(scene, tmp_path / name)
+        summaries.append(load_scene(tmp_path / name, "scalar_rgb", size=(8, 8)).summary)
+    many, one = summaries
+    panels = sum(emitter.count for emitter in many.emitters if emitter.type == "area")
+    materials = office().xml.count("<bsdf ")
+    assert materials == 25
+    assert 900 < many.shapes - panels < 1200
+    # The carpet has a rectangle of its own.
+    assert one.shapes - panels == materials
+    assert one.triangles == many.triangles
+    assert one.emitters == many.emitters
+
+
+def test_an_office_shows_the_same_either_way(tmp_path: Path) -> None:
+    images = [picture(tmp_path, office(desks=4, merged=merged), spp=16) for merged in (False, True)]
+    assert images[0].mean() > 0.1
+    np.testing.assert_allclose(images[0], images[1], rtol=1e-3, atol=1e-4)
+
+
+def test_an_office_is_lit_by_its_windows_too(tmp_path: Path) -> None:
+    scene = office(desks=4)
+    dark = re.sub(r'<emitter type="area">.*?</emitter>', "", scene.xml, flags=re.S)
+    by_sky, by_all = (picture(tmp_path, SceneDescription(xml, scene.files)).mean() for xml in (dark, scene.xml))
+    assert 0.02 < by_sky / by_all < 0.6
