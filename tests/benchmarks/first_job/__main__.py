@@ -79,6 +79,8 @@ def main(
     ),
 ) -> None:
     """Measure, and write the measurements and the page."""
+    if not out.parent.is_dir():
+        raise typer.BadParameter(f"the folder of {out} does not exist: create it first")
     temperatures = [name for name, only in ((COLD, cold), (WARM, warm)) if only or cold == warm]
     width, height = map(int, size.split("x"))
     for title in () if tables else scene:
