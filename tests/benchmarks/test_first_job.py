@@ -136,6 +136,7 @@ def written(tmp_path: Path) -> str:
         record("cornell", "auto", "cold", 15.0, 0.1, choice="path, enlightened"),
         record("cornell", "mitsuba", "warm", 15.0, 0.4),
         record("cornell", "auto", "warm", 15.0, 0.05),
+        record("cornell", "bdpt", "cold", 15.0, 80.0),
         record("maze", "mitsuba", "cold", 15.0, 0.1),
         record("maze", "auto", "cold", 15.0, 0.2, seconds_process=20.0),
         record("door 3", "mitsuba", "cold", 15.0, 0.1),
@@ -161,6 +162,8 @@ def test_the_page_shows_wins_losses_and_failures(written: str) -> None:
     assert table["door 9"] == ["tuned on", "against another reference", "-"]
     assert table["**geometric mean, all**"][1].startswith("1.00 (1.00 to 1.00), undecided, 2 scenes")
     assert table["**geometric mean, judged on**"][1] == "**0.25 (0.25 to 0.25), loses**, 1 scene"
+    forced = rows(written, "Efficiency ratios of `bdpt` to Mitsuba at equal time")
+    assert forced["cornell"][1] == "**0.005 (0.005 to 0.005), loses**"
     assert table["**wins, loses, undecided**"][1] == "1, 1, 0"
 
 

@@ -21,6 +21,8 @@ HALF = {scene.title: "tuned on" for scene in TUNED_ON} | {scene.title: "judged o
 NO_FIGURE = "-"
 HIDDEN = "below the reference's noise"
 FAILED = "failed"
+GREAT_LOSS = 0.1
+"""Ratio below which two decimals hold less than two digits."""
 FOREIGN = "against another reference"
 
 INTRODUCTION = f"""
@@ -257,14 +259,19 @@ def _trimmed_ratio(peer: list[Record], other: list[Record]) -> str:
     if not peer or not other or len(_good([*peer, *other])) < len(peer) + len(other) or not _comparable(peer, other):
         return NO_FIGURE
     above, below = (np.mean([run["trimmed"] * run["seconds_process"] for run in runs]) for runs in (peer, other))
-    return f"{above / below:.2f}" if min(above, below) > 0 else NO_FIGURE
+    return _number(above / below) if min(above, below) > 0 else NO_FIGURE
 
 
 def _shown(cell: Ratio | str) -> str:
     if isinstance(cell, str):
         return cell
-    text = f"{cell.value:.2f} ({cell.low:.2f} to {cell.high:.2f})"
+    text = f"{_number(cell.value)} ({_number(cell.low)} to {_number(cell.high)})"
     return f"{text}, {cell.verdict}" if cell.verdict != "loses" else f"**{text}, {cell.verdict}**"
+
+
+def _number(value: float) -> str:
+    """Two decimals, or two digits where a loss is so great that decimals would hide it."""
+    return f"{value:.2f}" if value >= GREAT_LOSS else f"{value:.2g}"
 
 
 def _columns(records: Iterable[Record]) -> list[Column]:
