@@ -26,9 +26,13 @@ lint: setup
 ci:
 	@.ci/run
 
-# All write their reports under docs/ and want a machine that does nothing else. SCENE=FILE adds a comparison of the
-# algorithms at equal time on that scene.
+# All write their reports under docs/ and want a machine that does nothing else. The first job comes first: it compares
+# what a user gets with Mitsuba itself, and takes four hours in three parts. Scenes that the project does not hold are
+# taken from the folder SHARED. SCENE=FILE adds a comparison of the algorithms at equal time on that scene.
 bench: setup
+	@.venv/bin/python -m tests.benchmarks.first_job $(if $(SHARED),--shared $(SHARED))
+	@.venv/bin/python -m tests.benchmarks.first_job --clock $(if $(SHARED),--shared $(SHARED))
+	@.venv/bin/python -m tests.benchmarks.first_job --first-image $(if $(SHARED),--shared $(SHARED))
 	@.venv/bin/python -m tests.benchmarks.main_job
 	@.venv/bin/python -m tests.benchmarks.context
 	@.venv/bin/python -m tests.benchmarks.enlightened

@@ -18,17 +18,25 @@ TRIM = 0.01
 """Share of the worst pixels that trimmed figures leave out."""
 
 
-def run(*arguments: str) -> str:
-    """Run ``elps``; returns the last line of its output."""
-    done = subprocess.run([str(ELPS), *arguments], check=True, capture_output=True, text=True)
+def run(*arguments: str, environment: Mapping[str, str] | None = None) -> str:
+    """Run ``elps``, in this process's environment if none is given; returns the last line of its output."""
+    done = subprocess.run([str(ELPS), *arguments], check=True, capture_output=True, text=True, env=environment)
     return (done.stdout.strip().splitlines() or [""])[-1]
 
 
-def render(scene: Path, output: Path, size: str, seconds: float, seed: int, *options: str) -> dict[str, Any]:
+def render(
+    scene: Path,
+    output: Path,
+    size: str,
+    seconds: float,
+    seed: int,
+    *options: str,
+    environment: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
     """One image by ``elps render``, everything counted; returns its figures."""
     line = run(
         "render", str(scene), "-o", str(output), "--size", size, "--seconds", str(seconds), "--seed", str(seed),
-        "--json", *options,
+        "--json", *options, environment=environment,
     )  # fmt: skip
     figures: dict[str, Any] = json.loads(line)
     return figures
