@@ -72,7 +72,7 @@ def submit(
 
     given = {
         "preset": preset,
-        "integrator": integrator or (None if preset else "auto"),
+        "integrator": integrator,
         "light_sampling": light_sampling,
         "direction_sampling": direction_sampling,
         "roulette": roulette,

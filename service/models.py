@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from elps_core.settings import RenderSettings, StopCriterion
 from worker.models import Job, WorkerInfo
 
 EXAMPLE_DIGEST = "sha256:" + "0123456789abcdef" * 4
-
-
-DEFAULT: dict[str, Any] = {"integrator": "auto"}
-"""What a job is rendered by where nobody says."""
 
 
 class JobRequest(BaseModel):
@@ -40,17 +36,10 @@ class JobRequest(BaseModel):
 
     scene: Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$")]
     """Digest of an uploaded scene."""
-    settings: RenderSettings = RenderSettings(**DEFAULT)
-    """Without an integrator and a preset, ``integrator`` is ``auto``."""
+    settings: RenderSettings = RenderSettings()
     stop: StopCriterion
     priority: Annotated[int, Field(ge=-9, le=9)] = 0
     """Higher is sooner; 0 is the ordinary job."""
-
-    @field_validator("settings", mode="before")
-    @classmethod
-    def _enlightened(cls, settings: Any) -> Any:
-        named = not isinstance(settings, dict) or {"integrator", "preset"} & settings.keys()
-        return settings if named else DEFAULT | settings
 
 
 class JobList(BaseModel):

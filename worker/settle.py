@@ -150,10 +150,11 @@ class Settler:
             return None  # the chunks fail, and say so
 
     def _start(self, job: Job, decision: Decision) -> None:
-        if decision.build_context and job.context_digest is not None:
-            self._parts.offer(job, Work("context", job.context_digest, self._steps_saved(job.context_digest)))
         for index in decision.start:
             self._parts.offer(job, Work("chunk", job.digest, index))
+        # After the first picture, which takes a second.
+        if decision.build_context and job.context_digest is not None:
+            self._parts.offer(job, Work("context", job.context_digest, self._steps_saved(job.context_digest)))
 
     def _steps_saved(self, context: str) -> int:
         """Steps that an earlier, unfinished attempt at a context has left in the store."""

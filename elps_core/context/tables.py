@@ -260,7 +260,7 @@ class TableBuilder:
         return groups_of(regions, max(1, regions.count // number), self.settings.seed)
 
     def _finished(self, *names: str) -> DirectionalTables:
-        """Of the sources of these names, until the next step; scouts and the step after them ask for the same."""
+        """Of the sources of these names, until the next step; trials and the step after them ask for the same."""
         if names not in self._ready:
             self._ready[names] = self._finish(*names)
         return self._ready[names]

@@ -14,10 +14,10 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from elps_core.choice import CANDIDATES
 from PIL import Image
 
 from elps_core.io.exr import read_exr
+from elps_core.selection.candidates import CANDIDATES
 from elps_core.settings import ContextSettings, RenderSettings, StopCriterion
 from service.client import Client, ServiceError
 from tests.e2e.processes import assert_gone, descendants, elps, served
@@ -262,8 +262,8 @@ def test_everything_ends_with_a_killed_service(tmp_path: Path, room: Path) -> No
             client.workers()
 
 
-def test_pilots_choose_what_renders_and_serve_the_next_job(http: httpx.Client, client: Client, scene: str) -> None:
-    """Nobody names an integrator; the tables and the pilots of one job are those of the next."""
+def test_trials_choose_what_renders_and_serve_the_next_job(http: httpx.Client, client: Client, scene: str) -> None:
+    """Nobody names an integrator; the tables and the trials of one job are those of the next."""
     context = {"resolution": 8, "samples_per_cell": 16, "regions": 16, "rows": 8, "columns": 16, "paths": 1 << 15}
     jobs = []
     for seed in (4, 5):
@@ -274,8 +274,8 @@ def test_pilots_choose_what_renders_and_serve_the_next_job(http: httpx.Client, c
         jobs.append(http.get(f"/v1/jobs/{id_}").json())
     first, second = jobs
     assert first["settings"]["integrator"] == "auto"
-    compared = {entry["name"] for entry in first["choice"]["pilots"]}
-    assert {"path, enlightened", "bdpt, plain"} <= compared <= set(CANDIDATES)
+    compared = {entry["name"] for entry in first["choice"]["trials"]}
+    assert {"path, plain"} <= compared <= set(CANDIDATES)
     assert first["choice"]["name"] in compared
     assert (first["context_hit"], second["context_hit"]) == (False, True)
     assert second["choice"] == first["choice"]

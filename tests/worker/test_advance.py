@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from elps_core.choice import CANDIDATES
 
-from elps_core.estimate.schedule import chunk_spp
+from elps_core.estimate.schedule import MEANTIME, chunk_spp
+from elps_core.selection.candidates import CANDIDATES
 from elps_core.settings import RenderSettings, StopCriterion
 from worker.advance import Decision, decide, eta_seconds, mergeable, publish_due, worth_starting
 from worker.models import Job
@@ -22,19 +22,24 @@ def entry(stop: StopCriterion, merged: tuple[int, ...] = (), sample_seconds: flo
         id="j",
         revision=1,
         scene="sha256:0",
-        settings=RenderSettings(),
         stop=stop,
         created=0.0,
         width=8,
         height=8,
         digest="sha256:1",
-        **{"state": "rendering", "started": 0.0, "samples_done": sum(spp(i) for i in merged), **fields},
+        **{
+            "settings": RenderSettings(integrator="bdpt"),
+            "state": "rendering",
+            "started": 0.0,
+            "samples_done": sum(spp(i) for i in merged),
+            **fields,
+        },
     )
     return JobEntry(job=job, merged=merged, sample_seconds=sample_seconds)
 
 
 def spp(index: int) -> int:
-    return (1, 1, 2, 4)[min(index, 3)]
+    return (1, 1, 2, 4)[min(index % MEANTIME, 3)]
 
 
 def decided(
@@ -49,8 +54,8 @@ def decided(
 
 
 @pytest.mark.parametrize("name", CANDIDATES)
-def test_chunks_are_as_large_as_those_of_what_pilots_have_chosen(name: str) -> None:
-    named = RenderSettings(integrator=CANDIDATES[name]["integrator"])
+def test_chunks_are_as_large_as_those_of_what_trials_have_chosen(name: str) -> None:
+    named = CANDIDATES[name].settings(RenderSettings())
     auto = {"settings": RenderSettings(integrator="auto"), "width": 256, "height": 256}
     chosen = schedule(entry(StopCriterion(seconds=9.0)).job.model_copy(update=auto), {"name": name})
     assert [chosen(index) for index in range(20)] == [chunk_spp(index, named, (256, 256)) for index in range(20)]
@@ -82,6 +87,30 @@ def test_a_context_comes_first() -> None:
     assert decided(job, "failed") == Decision(build_context=True)
     assert decided(job, "building") == Decision()
     assert decided(job, "ready").start == (0, 1, 2)
+
+
+def test_there_is_a_picture_before_there_is_a_context() -> None:
+    """By the plain way of auto; more of it only by workers that have nothing else to do."""
+    job = entry(StopCriterion(seconds=60), state="queued", settings=RenderSettings())
+    assert decided(job, "missing", window=2) == Decision(build_context=True, start=(MEANTIME,))
+    assert decided(job, "building", window=2, flying=frozenset({MEANTIME})) == Decision()
+    shown = job.model_copy(update={"merged": (MEANTIME,)})
+    assert decided(shown, "building", window=2, done=frozenset({MEANTIME})) == Decision()
+    assert decided(shown, "building", window=4, done=frozenset({MEANTIME})) == Decision(
+        start=(MEANTIME + 1, MEANTIME + 2)
+    )
+    assert decided(shown, "ready", window=2, done=frozenset({MEANTIME})) == Decision(start=(0, 1))
+    assert decided(shown, "building", window=2, done=frozenset({MEANTIME}), now=60.0).finish
+
+
+def test_samples_before_the_context_are_merged_and_not_counted() -> None:
+    auto = RenderSettings()
+    job = entry(StopCriterion(samples=4), merged=(MEANTIME, 0, 1), settings=auto)
+    assert mergeable(entry(StopCriterion(samples=4), settings=auto), {MEANTIME, 0, 5}, spp) == [0, MEANTIME]
+    assert decided(job, "ready", done=frozenset({MEANTIME, 0, 1})) == Decision(start=(2,))
+    assert decided(
+        job.model_copy(update={"merged": (MEANTIME, 0, 1, 2)}), "ready", done=frozenset({MEANTIME, 0, 1, 2})
+    ).finish
 
 
 def test_enough_samples_finish() -> None:
