@@ -311,7 +311,7 @@ class TableBuilder:
         key = (self.settings.seed, STREAM, FILLING, number)
         if self._made.areas is None:
             key_areas = (self.settings.seed, STREAM, AREAS)
-            areas = region_areas(self.scene, finder, count, LINES, key_areas, facing=regions.normals)
+            areas = region_areas(lights.emission.rays, finder, count, LINES, key_areas, facing=regions.normals)
             # What no line has crossed is small, and not nothing.
             self._made.areas = np.maximum(areas, areas[areas > 0.0].min(initial=1e30))
         known = self._made.known

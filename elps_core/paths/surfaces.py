@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from elps_core.scene.groups import every_shape
+from elps_core.scene.groups import MaterialFlags, every_shape
 
 FRAME_MAPS = ("NormalMap", "BumpMap")
 """Materials that bend the shading frame, as their descriptions name them."""
@@ -15,7 +15,8 @@ class Surfaces:
 
     def __init__(self, scene: mi.Scene) -> None:
         self.scene = scene
-        descriptions = {str(shape.bsdf()) for shape in every_shape(scene)}
+        self.flags = MaterialFlags(scene)
+        descriptions = {str(bsdf) for bsdf in dict.fromkeys(shape.bsdf() for shape in every_shape(scene))}
         self.bends_frames = any(name in text for text in descriptions for name in FRAME_MAPS)
         """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
 
@@ -34,5 +35,5 @@ class Surfaces:
         """
         if self.bends_frames:
             return mi.Bool(True)
-        transmits = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Transmission)
+        transmits = self.flags.transmits(si)
         return transmits | (mi.Frame3f.cos_theta(si.wi) * mi.Frame3f.cos_theta(wo) > 0.0)
