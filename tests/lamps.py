@@ -36,10 +36,19 @@ def _lamp(mi: Any, kind: str, number: int, lamps: int) -> dict[str, Any]:
         picture = {"type": "bitmap", "bitmap": mi.Bitmap(pixels)}
         return {"type": "rectangle", "to_world": down, "emitter": {"type": "area", "radiance": picture}}
     if kind == "point":
-        return {"type": "point", "position": spot, "intensity": {"type": "rgb", "value": [3.0 * c / lamps for c in colour]}}
+        return {
+            "type": "point",
+            "position": spot,
+            "intensity": {"type": "rgb", "value": [3.0 * c / lamps for c in colour]},
+        }
     if kind == "spot":
         aimed = place().look_at(spot, [spot[0] + 0.2, -2.0, spot[2]], [0, 0, 1])
-        return {"type": "spot", "to_world": aimed, "cutoff_angle": 40.0, "intensity": {"type": "rgb", "value": 20.0 / lamps}}
+        return {
+            "type": "spot",
+            "to_world": aimed,
+            "cutoff_angle": 40.0,
+            "intensity": {"type": "rgb", "value": 20.0 / lamps},
+        }
     if kind == "sphere":
         return {"type": "sphere", "center": spot, "radius": 0.6 * size, "emitter": area}
     if kind == "cylinder":

@@ -291,7 +291,9 @@ class PathJoiner:
                 pdf_end=dr.select(hit.active, hit.pdf_start, pdf_eye),
                 pdf_next=dr.select(hit.active, hit.pdf_omega, eye_rev),
             ),
-            origin=Origin(point.si.p, point.si.sh_frame.n, dr.rcp(start.pdf), ~no_surface & self._surfaces.flags.smooth(point.si)),
+            origin=Origin(
+                point.si.p, point.si.sh_frame.n, dr.rcp(start.pdf), ~no_surface & self._surfaces.flags.smooth(point.si)
+            ),
             emitted=emitted * scale,
             wavelengths=wavelengths,
             target=dr.select(dr.isfinite(target_value) & (s + t > 2), dr.maximum(target_value, 0.0), 0.0),

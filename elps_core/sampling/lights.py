@@ -124,9 +124,7 @@ class RegionLights:
             by_start = self.lights.density(cell, active)
         return dr.select(active, 1.0 + self._share * (by_region / by_start - 1.0), 1.0)
 
-    def _within(
-        self, piece: mi.UInt32, inside: mi.Float, u: mi.Float, active: mi.Bool
-    ) -> tuple[mi.Float, mi.Float]:
+    def _within(self, piece: mi.UInt32, inside: mi.Float, u: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
         """A number that draws an emitter of ``piece`` from all of them, and what fills the step that it is rounded to.
 
         It is a whole step, and each step of the piece is as likely as the others to within 1 / 512: a random number

@@ -34,10 +34,10 @@ from elps_core.scene.meeting import Meeting
 from elps_core.scene.meshlight import MeshLights
 from elps_core.scene.radiance import Radiance
 from elps_core.scene.shapelight import ShapeLights
-from elps_core.scene.spectrum import luminance, sample_wavelengths
+from elps_core.scene.spectrum import luminance, luminance_weights, sample_wavelengths
 
 POWER_SAMPLES, FEWEST_SAMPLES = 32, 8
-"""Side of the grid of points (and of directions) over which an emitter's power is averaged, and where there are many."""
+"""Side of the grid of points (and of directions) over which an emitter's power is averaged; the least, of many."""
 POWER_LANES = 1 << 22
 """Points of all grids together: 64 MB of results, and a tenth of a second."""
 DISK_MARGIN = 1.001
@@ -172,7 +172,7 @@ class Emission:
     # -- F^-1 ------------------------------------------------------------------------------------
 
     def emitter(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.EmitterPtr:
-        """The emitter that a ray has met, which is the environment where it left the scene; None where there is none."""
+        """The emitter that a ray has met, where it left the scene the environment; None where there is none."""
         number = dr.gather(mi.UInt32, self._of_shape, dr.reinterpret_array(mi.UInt32, si.shape), active)
         if self._environment:
             number = dr.select(active & ~si.is_valid(), self._around, number)
@@ -299,7 +299,8 @@ class Emission:
         known = self._radiance.known
         # Light of a surface into all directions of a half space, and of a point into all.
         around = np.where(np.isin(self._kinds, SURFACES), np.pi * self._areas, 4.0 * np.pi)
-        power = np.where(known, around * (self._radiance.values @ _weights()), 0.0)
+        bright = self._radiance.values @ (np.ones(1) if mi.is_monochromatic else luminance_weights())
+        power: NDArray[np.float64] = np.where(known, around * bright, 0.0)
         if not known.all():
             power[~known] = self._measured_power(np.flatnonzero(~known))
         return power
@@ -324,12 +325,3 @@ class Emission:
         one = self.pdf_direction(index, point.delta, mi.Float(1.0), active, infinite=point.infinite)
         flux = np.array(luminance(value * weight, wavelengths) / (point.pdf * one), np.float64)
         return np.asarray(np.nan_to_num(flux.reshape(len(emitters), cells).mean(axis=1), nan=0.0, posinf=0.0))
-
-
-def _weights() -> NDArray[np.float64]:
-    """Of the channels in luminance, as :func:`elps_core.scene.spectrum.luminance` weighs them."""
-    if mi.is_monochromatic:
-        return np.ones(1)
-    if mi.is_spectral:
-        return np.zeros(3)  # There no emitter is known by three numbers.
-    return np.array([float(luminance(mi.Color3f(*map(float, unit)), mi.Color0f())[0]) for unit in np.eye(3)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -11,7 +12,7 @@ import numpy as np
 
 from elps_core.arrays import on_device
 from elps_core.errors import SceneRejected
-from elps_core.scene.spectrum import luminance, sample_wavelengths
+from elps_core.scene.spectrum import luminance, luminance_weights, sample_wavelengths
 
 Matrix = np.ndarray[Any, np.dtype[np.floating[Any]]]
 
@@ -26,6 +27,8 @@ DIRECTIONAL = "directional"
 ENVIRONMENTS = ("constant", "envmap", "sunsky", "timed_sunsky")
 """Light from all around; a scene has one of them at most."""
 KINDS = (*SURFACES, *POINTS, DIRECTIONAL, *ENVIRONMENTS)
+AT_ONCE = 32
+"""Emitters that one kernel asks for their intensity."""
 MANY = 64
 """Emitters of a scene up to which their number may enter the code of kernels. With more of them it is data, so that
 kernels are the same for a hundred lamps and for ten thousand, and lamps alike are not told apart by code."""
@@ -71,8 +74,8 @@ class Light:
     def middle(self) -> Matrix:
         """Where it is [3]: the middle of its bounding box; three infinities at infinity."""
         if self.kind in SURFACES:
-            return (np.array(self.key[:3]) + np.array(self.key[3:6])) / 2
-        return np.array(self.key[:3])
+            return np.asarray((np.array(self.key[:3]) + np.array(self.key[3:6])) / 2)
+        return np.asarray(self.key[:3])
 
     @property
     def kind_index(self) -> int:
@@ -199,19 +202,45 @@ def _keeps_angles(to_world: Matrix) -> bool:
     return bool(sizes.max() <= sizes.min() * (1 + 1e-4))
 
 
+def intensity_of(point: Any) -> Matrix | None:
+    """Intensity of a point light by channel, where its parameters tell it; None where it is a spectrum."""
+    if mi.is_spectral or mi.is_polarized:
+        return None
+    params = mi.traverse(point)
+    if "intensity.value" not in params:
+        return None
+    value = params["intensity.value"]
+    return np.array([_first(channel) for channel in ([value] if isinstance(value, mi.Float) else value)])
+
+
 def _intensities(lights: list[Light]) -> list[float]:
-    """Luminances at unit distance along the axes; along z where there is none. One kernel for all."""
-    if not lights:
-        return []
+    """Luminances at unit distance along the axes; along z where there is none."""
+    found = np.zeros(len(lights))
+    asked = []
+    for k, light in enumerate(lights):
+        intensity = intensity_of(light.emitter) if light.kind == "point" else None
+        if intensity is None:
+            asked.append(k)
+        else:
+            found[k] = intensity @ luminance_weights() if len(intensity) > 1 else intensity[0]
+    for start in range(0, len(asked), AT_ONCE):
+        some = asked[start : start + AT_ONCE]
+        found[some] = _asked_intensities([lights[k] for k in some])
+    return [float(each) for each in found]
+
+
+def _asked_intensities(lights: list[Light]) -> Matrix:
     axes = np.array([light.key[3:6] for light in lights])
     axes[~axes.any(axis=1)] = (0.0, 0.0, 1.0)
     position = np.array([light.position if light.kind in POINTS else np.zeros(3) for light in lights]) + axes
     wavelengths, weight = sample_wavelengths(dr.full(mi.Float, 0.5, len(lights)))
     near = mi.Interaction3f(0.0, 0.0, wavelengths, mi.Point3f(*(on_device(mi.Float, row) for row in position.T)))
-    emitters = mi.EmitterPtr([light.emitter for light in lights])
-    _, value = emitters.sample_direction(near, mi.Point2f(0.5))
-    bright = np.array(luminance(value * weight, wavelengths), np.float64)
-    return [float(each) for each in np.broadcast_to(bright, len(lights))]
+
+    def ask(emitter: Any, near: mi.Interaction3f) -> mi.Spectrum:
+        return emitter.sample_direction(near, mi.Point2f(0.5))[1]
+
+    value = dr.switch(dr.arange(mi.UInt32, len(lights)), [partial(ask, light.emitter) for light in lights], near)
+    return np.broadcast_to(np.array(luminance(value * weight, wavelengths), np.float64), len(lights))
 
 
 class _Parameters(mi.TraversalCallback):

@@ -26,7 +26,7 @@ class Meeting:
         self.scene = scene
         self._on_shapes = on_shapes
         lamps = [k for k, light in enumerate(lights) if light.kind in ANALYTIC]
-        self.by_tables = len(lamps) > MANY
+        self.by_tables = len(lights) > MANY and bool(lamps)
         """Whether lamps are met by tables."""
         if not self.by_tables:
             return

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
-from elps_core.scene.emitters import POINTS, SURFACES, Light
+from elps_core.scene.emitters import POINTS, SURFACES, Light, intensity_of
 
 FEW = 32
-"""Emitters that are asked one by one: Python takes about as long for one as Mitsuba for three, and asks no others."""
+"""Emitters that are asked for their radiance one by one: Python takes longer for each, and asks no others."""
 
 Question = Callable[..., mi.Spectrum]
 
@@ -41,8 +41,8 @@ class Radiance:
         self._table = on_device(mi.Float, np.pad(values, ((0, 0), (0, _stride() - values.shape[1]))))
         on_surface = np.array([kind in SURFACES for kind in self._kinds])
         delta = np.array([kind in (*POINTS, "directional") for kind in self._kinds])
-        self._shining = _Asked(emitters, ~known & ~delta, self._emitters)
-        self._sending = _Asked(emitters, ~known & delta, self._emitters)
+        self._shining = _Asked(emitters, ~known & ~delta, pointers=self._emitters)
+        self._sending = _Asked(emitters, ~known & delta)
         self._known_shine = bool((known & on_surface).any())
         self._known_send = bool((known & delta).any())
 
@@ -79,9 +79,13 @@ class Radiance:
 
 
 class _Asked:
-    """The emitters among all that Mitsuba is asked about."""
+    """The emitters among all that Mitsuba is asked about.
 
-    def __init__(self, emitters: list[Any], which: NDArray[np.bool_], pointers: mi.EmitterPtr) -> None:
+    ``pointers``, where given, ask all of them when these are many. They must not for what Mitsuba draws on lamps: it
+    has the numbers of each in its code, so that a hundred lamps are a hundred times the code.
+    """
+
+    def __init__(self, emitters: list[Any], which: NDArray[np.bool_], pointers: mi.EmitterPtr | None = None) -> None:
         self._chosen = [emitter for emitter, asked in zip(emitters, which, strict=True) if asked]
         self.any = bool(self._chosen)
         self._all = len(self._chosen) == len(emitters)
@@ -99,7 +103,7 @@ class _Asked:
         """The answers of those emitters that are among these."""
         place = dr.gather(mi.UInt32, self._places, index, active)
         active = active & (place < self._count)
-        if len(self._chosen) > FEW:
+        if self._pointers is not None and len(self._chosen) > FEW:
             return question(dr.gather(mi.EmitterPtr, self._pointers, index, active), near, active)
         answer: mi.Spectrum = dr.switch(place, [partial(question, each) for each in self._chosen], near, active)
         return answer
@@ -126,20 +130,7 @@ def _constants(lights: list[Light], emitters: mi.EmitterPtr) -> tuple[NDArray[np
         for channel in range(channels):
             values[known, channel] = np.broadcast_to(np.array(shone[channel], np.float64), count)[known]
     for k, light in enumerate(lights):
-        if light.kind == "point":
-            intensity = _uniform(light.emitter)
-            if intensity is not None:
-                known[k], values[k] = True, intensity
+        intensity = intensity_of(light.emitter) if light.kind == "point" else None
+        if intensity is not None:
+            known[k], values[k] = True, intensity
     return known, values
-
-
-def _uniform(point: Any) -> NDArray[np.float64] | None:
-    """Intensity of a point light by channel, where its parameters tell it."""
-    params = mi.traverse(point)
-    if "intensity.value" not in params:
-        return None
-    return np.array([float(channel[0]) for channel in _channels(params["intensity.value"])])
-
-
-def _channels(value: Any) -> list[Any]:
-    return [value] if isinstance(value, mi.Float) else list(value)

@@ -28,7 +28,7 @@ def weights(request: pytest.FixtureRequest) -> Any:
 
 
 def drawn(mi: Any, weights: Any, table: Any) -> Any:
-    """Start density, density by region, and what it draws: (lights, by region, start, density of light paths, region)."""
+    """Start density, density by region, and what it draws: (lights, by region, start, density of paths, region)."""
     import drjit as dr
 
     from elps_core.paths.stream import Stream

@@ -30,7 +30,13 @@ def turned(mi: Any) -> dict[str, dict[str, Any]]:
         "disk": {"type": "disk", "to_world": at(0, 4, 0, 1.7, 1.7, 1.7)},
         "squeezed disk": {"type": "disk", "to_world": at(0, 4, 4, 1.7, 0.5, 1)},
         "cylinder": {"type": "cylinder", "p0": [0, -4, 0], "p1": [1, -5, 1], "radius": 0.3},
-        "inwards cylinder": {"type": "cylinder", "p0": [4, -4, 0], "p1": [5, -5, 1], "radius": 0.5, "flip_normals": True},
+        "inwards cylinder": {
+            "type": "cylinder",
+            "p0": [4, -4, 0],
+            "p1": [5, -5, 1],
+            "radius": 0.5,
+            "flip_normals": True,
+        },
         "mirrored cylinder": {"type": "cylinder", "to_world": at(4, -4, 4, -1, 1, 1)},
         "mesh": {"type": "cube", "to_world": at(9, 0, 0, 1, 1, 1)},
     }
@@ -48,7 +54,11 @@ def test_what_rays_meet_is_what_mitsuba_tells(mi: Any) -> None:
         "box": {"type": "cube", "to_world": place().translate([9, 4, 0])},
         "ball": {"type": "sphere", "center": [9, 9, 0], "radius": 1},
         "group": {"type": "shapegroup", "part": {"type": "cube"}},
-        "instance": {"type": "instance", "to_world": place().translate([-9, 0, 0]), "of": {"type": "ref", "id": "group"}},
+        "instance": {
+            "type": "instance",
+            "to_world": place().translate([-9, 0, 0]),
+            "of": {"type": "ref", "id": "group"},
+        },
     }
     small = {
         f"small {k}": {"type": "sphere", "center": [-3 + 0.1 * k, -2, 0], "radius": 0.04, "emitter": {"type": "area"}}
