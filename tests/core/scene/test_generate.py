@@ -160,7 +160,7 @@ def test_lamps_of_a_hall_stand_free(tmp_path: Path) -> None:
     met = scene.ray_intersect(mi.Ray3f(point.si.p + 1e-3 * point.si.n, mi.Vector3f(point.si.n)))
     assert bool(dr.all(met.is_valid()))
     near = np.array(met.t).reshape(-1, 64)
-    assert (np.median(near, axis=1) > 0.05).all()
+    assert (np.quantile(near, 0.75, axis=1) > 0.05).all(), "half of a sphere is near the board that it stands on"
 
 
 def test_a_shut_door_without_cracks_lets_nothing_through(tmp_path: Path) -> None:
