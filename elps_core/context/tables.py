@@ -50,6 +50,7 @@ from elps_core.sampling.context import PixelWorth, towards
 from elps_core.sampling.direction import ENOUGH, NEVER, Guide, GuidedDirections
 from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
+from elps_core.scene.meeting import Meeting
 from elps_core.scene.sensors import Camera
 from elps_core.settings import USUAL_PATHS, ContextSettings
 
@@ -96,6 +97,7 @@ class TableBuilder:
         self._materials = Materials(scene)
         self._made = TableState(PilotImage(camera.size))
         self._parents: NDArray[np.uint32] | None = None
+        self._rays: Meeting | None = None
         self._ready: dict[tuple[str, ...], DirectionalTables] = {}
 
     @property
@@ -171,6 +173,7 @@ class TableBuilder:
 
     def step(self, lights: StartDensity) -> None:
         """Take the next step, light paths starting by ``lights``."""
+        self._rays = lights.emission.rays
         if self._made.known is not None:
             self._fill(lights, self._made.done)
         elif self._made.done == 0:
@@ -219,7 +222,7 @@ class TableBuilder:
             pilot=pilot.image(),
             noise=pilot.noise(),
             lights=known.lights if known else self._light_tables(),
-            view=regions_in_view(self.scene, self.camera, self.regions, pilot.shape),
+            view=regions_in_view(self._rays or self.scene, self.camera, self.regions, pilot.shape),
             density=self._made.density,
             prospects=self._prospects(),
             shares=self._shares(),

@@ -46,7 +46,7 @@ class Connector:
         region_lights: RegionLights | None = None,
     ) -> None:
         self.scene = scene
-        self.surfaces = Surfaces(scene)
+        self.surfaces = Surfaces(scene, lights.emission.flags)
         self.camera = camera
         self.lights = lights
         self.directions = directions

@@ -29,7 +29,7 @@ from elps_core.scene.emitters import (
     describe_emitters,
 )
 from elps_core.scene.environment import Environment
-from elps_core.scene.groups import every_shape, numbers
+from elps_core.scene.groups import MaterialFlags, every_shape, numbers
 from elps_core.scene.meeting import Meeting
 from elps_core.scene.meshlight import MeshLights
 from elps_core.scene.radiance import Radiance
@@ -98,6 +98,8 @@ class Emission:
         self._cutoff = on_device(mi.Float, [light.cos_cutoff for light in lights])
         self._radiance = Radiance(lights)
         self._on_shapes = ShapeLights(lights)
+        self.flags = MaterialFlags(scene)
+        """Of the materials in the scene, lamps' own included."""
         self.rays = Meeting(scene, lights, self._on_shapes)
         """What rays meet in the scene, lamps included."""
         self._meshes = MeshLights(lights) if "mesh" in self.kinds else None

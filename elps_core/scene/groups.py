@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
 
+FRAME_MAPS = ("NormalMap", "BumpMap")
+"""Materials that bend the shading frame, as their descriptions name them."""
+
 
 class _Parts(mi.TraversalCallback):
     """Shapes that an object is made of."""
@@ -49,8 +52,12 @@ class MaterialFlags:
         shapes = every_shape(scene)
         of = numbers(shapes)
         flags = np.zeros(int(of.max(initial=0)) + 1, np.uint32)
-        known = {bsdf: int(bsdf.flags()) for bsdf in dict.fromkeys(shape.bsdf() for shape in shapes) if bsdf}
-        flags[of] = [known.get(shape.bsdf(), 0) for shape in shapes]
+        carried = [shape.bsdf() for shape in shapes]
+        known = {bsdf: int(bsdf.flags()) for bsdf in dict.fromkeys(carried) if bsdf}
+        flags[of] = [known.get(bsdf, 0) for bsdf in carried]
+        descriptions = {str(bsdf) for bsdf in known}
+        self.bends_frames = any(name in text for text in descriptions for name in FRAME_MAPS)
+        """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
         self._flags = on_device(mi.UInt32, flags)
 
     def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.UInt32:
