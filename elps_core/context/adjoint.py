@@ -15,6 +15,7 @@ from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.stream import Stream
 from elps_core.sampling.start import StartDensity, power_table, uniform_table
 from elps_core.scene.emission import Emission
+from elps_core.scene.emitters import MANY
 from elps_core.scene.sensors import Camera
 from elps_core.scene.spectrum import luminance
 from elps_core.settings import ContextSettings, LightSampling
@@ -27,6 +28,8 @@ EARLY_SHARE = 0.5
 """Share of a batch's light paths that follow power, so that what earlier ones missed is found."""
 PATHS = 1 << 16
 """Of one pass of a batch, at most."""
+FAINTEST = 1e-6
+"""Power of an emitter over the mean, at least: one whose samples are all black may emit after all."""
 ROULETTE = RouletteRule("albedo", 5)
 STREAM = 0xE1B5
 """Sets the measurement's random numbers apart from those of renders with the same seed."""
@@ -60,7 +63,9 @@ def density_of(
 ) -> StartDensity:
     """The density of light vertices that ``sampling`` asks for, by ``adjoint`` [rows, columns] where it is theirs."""
     if adjoint is not None and sampling in ("adjoint", "context"):
-        return StartDensity(emission, start_table(adjoint, emission, settings.epsilon, settings.exponent))
+        table = start_table(adjoint, emission, settings.epsilon, settings.exponent)
+        # Tables by region count pieces of lights, which a density that is flat by chance would have fewer of.
+        return StartDensity(emission, table, cells=settings.regions > 0)
     return StartDensity(emission, uniform_table(emission) if sampling == "uniform" else power_table(emission))
 
 
@@ -83,7 +88,9 @@ class AdjointMeasurement:
         guide = start_table(self.image(), self.emission, max(self.settings.epsilon, EARLY_SHARE))
         lights = StartDensity(self.emission, guide, cells=True)
         bdpt = Bdpt(self.scene, self.camera, lights, max_depth=self.settings.max_depth, roulette=ROULETTE)
-        wanted = max(1, self.settings.samples_per_cell * self.rows * self.columns // STEPS)
+        # No more for many emitters than for one, whose cells are about as many as a square of the resolution.
+        cells = min(self.rows * self.columns, 2 * self.settings.resolution**2)
+        wanted = max(1, self.settings.samples_per_cell * cells // STEPS)
         passes = -(-wanted // PATHS)
         batch = np.zeros((self.rows, self.columns))
         for part in range(passes):
@@ -92,7 +99,7 @@ class AdjointMeasurement:
 
     def image(self) -> Table:
         """The best estimate of the adjoint image so far, [rows, columns]; zeros before the first step."""
-        return shrunk(self.batches, self.emission.count) if len(self.batches) else np.zeros((self.rows, self.columns))
+        return best_estimate(self.batches, self.emission) if len(self.batches) else np.zeros((self.rows, self.columns))
 
 
 def measure(bdpt: Bdpt, paths: int, key: tuple[int, ...]) -> Table:
@@ -128,6 +135,12 @@ def measure(bdpt: Bdpt, paths: int, key: tuple[int, ...]) -> Table:
     return np.asarray(total.reshape(lights.columns, lights.rows).T / paths)
 
 
+def best_estimate(batches: NDArray[np.float64], emission: Emission) -> Table:
+    """An adjoint image [rows, columns] from equal batches [n, rows, columns], as free of noise as they allow."""
+    image = shrunk(batches, emission.count)
+    return image if emission.count <= MANY else evened(image, batches, emission.power)
+
+
 def shrunk(batches: NDArray[np.float64], emitters: int) -> Table:
     """The mean of equal batches [n, rows, columns], noisy cells drawn towards what is around them.
 
@@ -141,6 +154,27 @@ def shrunk(batches: NDArray[np.float64], emitters: int) -> Table:
     per_emitter = columns // emitters
     drawn = _drawn_to_blocks(batches.reshape(n, rows, emitters, per_emitter), np.ones((rows, 1, per_emitter)))
     return drawn.reshape(rows, columns)
+
+
+def evened(image: Table, batches: NDArray[np.float64], power: NDArray[np.float64]) -> Table:
+    """An image [rows, columns] whose emitters are drawn towards their neighbours in what they give for their power.
+
+    Each of thousands is known by a few paths. Neighbours in the order of emitters are neighbours in space; of what an
+    emitter differs in from its block, that share is kept which the scatter between ``batches`` does not explain. Power
+    weighs, so that a strong lamp among weak ones stays as strong as it is.
+    """
+    n, (rows, columns) = len(batches), image.shape
+    emitters = len(power)
+    if n < 2:
+        return image
+    weight = np.maximum(power, FAINTEST * max(float(power.mean()), np.finfo(float).tiny))[None, None, :]
+    sums = batches.reshape(n, rows, emitters, -1).sum(axis=(1, 3))[:, None, None, :]
+    drawn = (_drawn_to_blocks(sums, weight) * weight)[0, 0]
+    own = image.reshape(rows, emitters, -1)
+    total = own.sum(axis=(0, 2))
+    even = np.full_like(own, 1.0 / (rows * own.shape[2]))
+    shares = np.divide(own, total[None, :, None], out=even, where=total[None, :, None] > 0.0)
+    return np.asarray((shares * drawn[None, :, None]).reshape(rows, columns))
 
 
 def _drawn_to_blocks(sums: NDArray[np.float64], cells: NDArray[np.float64]) -> Table:

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from elps_core.arrays import on_device
 from elps_core.context.lookup import RegionLookup
 from elps_core.paths.stream import Stream
+from elps_core.scene.meeting import Meeting
 
 CROSSINGS = 256
 """Surfaces that a line is followed through."""
 
 
 def region_areas(
-    scene: mi.Scene,
+    scene: mi.Scene | Meeting,
     regions: RegionLookup,
     count: int,
     lines: int,

@@ -14,7 +14,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from elps_core.context import adjoint
-from elps_core.context.adjoint import AdjointMeasurement, shrunk
+from elps_core.context.adjoint import AdjointMeasurement, best_estimate
 from elps_core.context.saved import UNFIT
 from elps_core.context.store import DirectionalParts, GlobalContext
 from elps_core.context.tables import TableBuilder
@@ -179,7 +179,8 @@ class ContextBuilder:
         """The adjoint image so far [rows, columns]."""
         if self._adjoint:
             return self._adjoint.image()
-        return shrunk(self._tables.flux(*self._grid), self._emission.count) if self._tables else np.zeros(self._grid)
+        flux = self._tables.flux(*self._grid) if self._tables else np.zeros((2, *self._grid))
+        return best_estimate(flux, self._emission)
 
     def _lights(self) -> StartDensity:
         """By what is known of the lights so far; power keeps more than its usual share while that is little."""

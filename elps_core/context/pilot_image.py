@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from elps_core.context.lookup import RegionLookup
 from elps_core.context.regions import Regions
+from elps_core.scene.meeting import Meeting
 from elps_core.scene.sensors import Camera
 
 Doubles = NDArray[np.float64]
@@ -92,7 +93,9 @@ class PilotImage:
         return float(most / now.mean()) if 0.0 < now.mean() < CLEAR else float("inf")
 
 
-def regions_in_view(scene: mi.Scene, camera: Camera, regions: Regions, shape: tuple[int, int]) -> NDArray[np.uint16]:
+def regions_in_view(
+    scene: mi.Scene | Meeting, camera: Camera, regions: Regions, shape: tuple[int, int]
+) -> NDArray[np.uint16]:
     """Region that the middle of each pixel shows of an image of that ``shape`` (rows, columns)."""
     height, width = shape
     pixel = dr.arange(mi.UInt32, height * width)

@@ -20,7 +20,7 @@ from elps_core.context.slits import Slits
 from elps_core.errors import ContextMismatch
 from elps_core.settings import ContextSettings
 
-FORMAT = "elps-context-6"
+FORMAT = "elps-context-7"
 """Name and version of the file format: safetensors with the facts as JSON metadata."""
 MAX_HEADER = 1 << 20
 """Bytes of metadata that a file may claim; ours have a few hundred."""

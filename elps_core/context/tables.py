@@ -45,6 +45,7 @@ from elps_core.context.surroundings import SHARE, sees_enough, with_pieces
 from elps_core.context.training import BY_ALBEDO, Step, Tables, Trainer
 from elps_core.particles.records import IMPORTON, PHOTON, ParticleArrays
 from elps_core.sampling.start import StartDensity
+from elps_core.scene.meeting import Meeting
 from elps_core.scene.sensors import Camera
 from elps_core.settings import MOST_PATHS, USUAL_PATHS, ContextSettings
 from elps_core.timing import KernelClock
@@ -82,6 +83,7 @@ class TableBuilder:
         self._rate: float | None = None
         self._made = TableState(PilotImage(camera.size))
         self._parents: NDArray[np.uint32] | None = None
+        self._rays: Meeting | None = None
         self._ready: dict[tuple[str, ...], DirectionalTables] = {}
 
     @property
@@ -158,6 +160,7 @@ class TableBuilder:
     def step(self, lights: StartDensity, left: float = float("inf")) -> None:
         """Take the next step, light paths starting by ``lights``; no more paths are begun ``left`` seconds later."""
         until = time.perf_counter() + left
+        self._rays = lights.emission.rays
         if self._made.known is not None:
             self._fill(lights, self._made.done, until)
         elif self._made.done == 0:
@@ -212,7 +215,7 @@ class TableBuilder:
             pilot=pilot.image(),
             noise=pilot.noise(),
             lights=known.lights if known else self._light_tables(),
-            view=regions_in_view(self.scene, self.camera, self.regions, pilot.shape),
+            view=regions_in_view(self._rays or self.scene, self.camera, self.regions, pilot.shape),
             density=self._made.density,
             prospects=self._prospects(),
             shares=self._shares(),
@@ -331,7 +334,7 @@ class TableBuilder:
         key = (self.settings.seed, STREAM, FILLING, number)
         if made.areas is None:
             key_areas = (self.settings.seed, STREAM, AREAS)
-            areas = region_areas(self.scene, finder, count, LINES, key_areas, facing=regions.normals)
+            areas = region_areas(lights.emission.rays, finder, count, LINES, key_areas, facing=regions.normals)
             # What no line has crossed is small, and not nothing.
             made.areas = np.maximum(areas, areas[areas > 0.0].min(initial=1e30))
         known = made.known

@@ -104,7 +104,7 @@ class WalkRecorder:
         """
         bdpt = self.bdpt
         pieces = region_lights.pieces(bdpt.lights)
-        cells_per_piece = bdpt.lights.rows * bdpt.lights.columns // max(1, pieces)
+        piece_of = region_lights.PieceOf(bdpt.lights)
         # What roulette makes of it, light paths apply themselves.
         gain = bdpt.worth.gain if bdpt.worth else 1.0
         paths, lanes = dr.width(position), dr.width(stream)
@@ -120,7 +120,7 @@ class WalkRecorder:
         def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
             wavelengths = walk.ray.wavelengths
             emitted, met = bdpt.connector.hit_emitter(walk, vertex, eye.region, active)
-            smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            smooth = active & bdpt.connector.surfaces.flags.smooth(vertex.si)
             direct = smooth & (vertex.depth < bdpt.max_depth)
             chosen_by = bdpt.connector.light_region(vertex.si, direct)
             lit, start = bdpt.connector.connect_light(vertex, chosen_by, walk.stream, direct)
@@ -141,12 +141,12 @@ class WalkRecorder:
                 leave_to = dr.normalize(vertex.si.p - start.point.si.p)
                 from_surface = direct & ~(start.point.delta | start.point.infinite)
                 bright = _bright(lit, wavelengths) * at_all
-                departures.add(start.cell // cells_per_piece, leave_to, bright, from_surface & (bright > 0.0))
+                departures.add(piece_of(start.cell, direct), leave_to, bright, from_surface & (bright > 0.0))
                 bright = _bright(emitted, wavelengths) * at_all
                 seen = active & (vertex.depth > 1) & (bright > 0.0)
-                departures.add(met // cells_per_piece, -walk.ray.d, bright, seen)
+                departures.add(piece_of(met, seen), -walk.ray.d, bright, seen)
             if pieces:
-                piece = start.cell // cells_per_piece
+                piece = piece_of(start.cell, direct)
                 amount = _bright(lit, wavelengths) / brought
                 some = direct & dr.isfinite(amount) & (amount > 0.0)
                 dr.scatter_reduce(dr.ReduceOp.Add, lights, amount, region * pieces + piece, some)
@@ -154,7 +154,7 @@ class WalkRecorder:
 
         def leave(walk: Walk, vertex: Vertex, event: Scattered, eye: _Eye, active: mi.Bool) -> _Eye:
             # Where the walk ends it has found nothing: that is a record, too.
-            keep = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            keep = active & bdpt.connector.surfaces.flags.smooth(vertex.si)
             goes_on = keep & walk.active & ~event.delta
             region = self._regions.at(vertex.si, vertex.si.wi, keep)
             # What the walk finds from here on, over its throughput, is the radiance that comes from there. That it has
@@ -179,7 +179,7 @@ class WalkRecorder:
 
         nothing = dr.zeros(mi.UInt32, lanes)
         random_walk(
-            bdpt.scene,
+            bdpt.lights.emission.rays,
             begin(turns.first, stream, mi.Bool(True)),
             visit,
             _Eye(turns.first, dr.zeros(mi.Float, lanes), nothing, dr.full(mi.UInt32, NOWHERE, lanes)),
@@ -242,7 +242,7 @@ class WalkRecorder:
             return bdpt.light_start(start, stream), _Light(path, scale)
 
         def visit(walk: Walk, vertex: Vertex, light: _Light, active: mi.Bool) -> _Light:
-            smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            smooth = active & bdpt.connector.surfaces.flags.smooth(vertex.si)
             region = self._regions.at(vertex.si, vertex.si.wi, smooth)
             # In units of white, as the radiance is that eye paths find over their throughput.
             weight = luminance(mi.UnpolarizedSpectrum(vertex.beta) * light.scale, walk.ray.wavelengths) / white()
@@ -265,7 +265,7 @@ class WalkRecorder:
 
         walk, light = begin(turns.first, stream, mi.Bool(True))
         random_walk(
-            bdpt.scene,
+            bdpt.lights.emission.rays,
             walk,
             visit,
             light,

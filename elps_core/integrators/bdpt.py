@@ -206,7 +206,7 @@ class Bdpt:
             radiance = eye.radiance + emitted
             if not self.strategies.next_event or self.max_depth == 1:
                 return _Eye(radiance, eye.region, eye.sample)
-            smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            smooth = active & self.connector.surfaces.flags.smooth(vertex.si)
             direct = smooth & (vertex.depth < self.max_depth)
             region = connector.light_region(vertex.si, direct)
             lit, start = connector.connect_light(vertex, region, walk.stream, direct)
@@ -252,7 +252,7 @@ class Bdpt:
 
         first, lanes = samples.turns.first, samples.lanes
         eye = random_walk(
-            self.scene,
+            self.lights.emission.rays,
             begin(first, eye_stream, mi.Bool(True)),
             visit,
             _Eye(dr.zeros(mi.Spectrum, lanes), dr.full(mi.UInt32, NOWHERE, lanes), first),
@@ -352,7 +352,7 @@ class Bdpt:
         def visit(walk: Walk, vertex: Vertex, light: _Light, active: mi.Bool) -> _Light:
             if self.strategies.aperture:
                 arrive(*connector.hit_aperture(walk, walk.active), walk, light, walk.active)
-            smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            smooth = active & self.connector.surfaces.flags.smooth(vertex.si)
             smooth = smooth & (vertex.depth < self.max_depth)
             vertex.partial = connector.first_light_vertex(vertex, light.cell, active)
             if self.strategies.sensor:
@@ -377,7 +377,7 @@ class Bdpt:
 
         walk, state = begin(samples.turns.first, stream, mi.Bool(True))
         light = random_walk(
-            self.scene,
+            self.lights.emission.rays,
             walk,
             visit,
             state,

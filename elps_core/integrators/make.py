@@ -18,7 +18,7 @@ from elps_core.paths.strategies import Strategies, chosen
 from elps_core.sampling.context import PixelWorth, guided
 from elps_core.sampling.departures import Departures
 from elps_core.sampling.direction import Directions
-from elps_core.sampling.lights import RegionLights
+from elps_core.sampling.lights import PieceOf, RegionLights, pieces
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.settings import RenderSettings
@@ -68,7 +68,7 @@ def paths_of(
     region_lights = _region_lights(settings, lights, parts)
     by_context = "context" in (settings.direction_sampling, settings.light_sampling)
     if parts and parts.departures and strategies.light_paths and by_context:
-        lights = lights.departing(Departures(parts.departures, lights.rows * lights.columns))
+        lights = lights.departing(Departures(parts.departures, pieces(lights), PieceOf(lights)))
     # Chains ask for samples without negative parts, and joined paths find what tables do not count.
     known = parts if settings.roulette == "context" else None
     payable = settings.integrator != "pssmlt" and not strategies.joins

@@ -134,7 +134,7 @@ class Multiplexed:
             return found
 
         return random_walk(
-            bdpt.scene,
+            bdpt.lights.emission.rays,
             start,
             visit,
             none,

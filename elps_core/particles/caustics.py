@@ -85,9 +85,9 @@ class CausticSampler:
         share = dr.opaque(mi.Float, 1.0 / self.paths)
 
         def body(path: _Path) -> _Path:
-            si = self._scene.ray_intersect(path.ray, path.active)
+            si = self._lights.emission.rays.ray_intersect(path.ray, path.active)
             active = path.active & si.is_valid()
-            smooth = active & mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            smooth = active & self._materials.flags.smooth(si)
             depth = path.depth + 1
             cosine = dr.abs(mi.Frame3f.cos_theta(si.wi))
             flux = luminance(mi.UnpolarizedSpectrum(path.flux), path.ray.wavelengths) / white()

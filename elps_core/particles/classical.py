@@ -91,13 +91,13 @@ class ClassicalSampler:
         first = 1 if kind == PHOTON or self.first_hits else 2
 
         def visit(_: Walk, vertex: Vertex, none: mi.Bool, active: mi.Bool) -> mi.Bool:
-            smooth = active & mi.has_flag(vertex.si.bsdf().flags(), mi.BSDFFlags.Smooth)
+            smooth = active & walks.connector.surfaces.flags.smooth(vertex.si)
             weight = luminance(mi.UnpolarizedSpectrum(vertex.beta) * scale, wavelengths) * share
             buffer.record(vertex.si, weight, vertex.depth, kind, smooth & (vertex.depth >= first))
             return none
 
         random_walk(
-            walks.scene,
+            walks.lights.emission.rays,
             start,
             visit,
             dr.zeros(mi.Bool, lanes),

@@ -173,7 +173,7 @@ class PathJoiner:
             return new
 
         end: _End = random_walk(
-            self.scene,
+            self.lights.emission.rays,
             start,
             visit,
             _End(vertex, dr.zeros(mi.UInt32, lanes), none, none),
@@ -208,8 +208,8 @@ class PathJoiner:
         delta = mi.Vector3f(light_si.p - eye_si.p)
         distance2 = dr.squared_norm(delta)
         to_lamp, lamp_distance2, target = emission.towards(point, eye_si.p)
-        light_ready = light.solid & _scatters(light_si)
-        eye_ready = eye.solid & _scatters(eye_si)
+        light_ready = light.solid & self._surfaces.flags.smooth(light_si)
+        eye_ready = eye.solid & self._surfaces.flags.smooth(eye_si)
         sample = self.camera.connect(light_si, aperture, light_ready & at_film)
         direction = dr.select(from_lamp, mi.Vector3f(to_lamp), delta * dr.rsqrt(distance2))
         direction = dr.select(at_film, mi.Vector3f(-sample.direction), direction)
@@ -291,7 +291,9 @@ class PathJoiner:
                 pdf_end=dr.select(hit.active, hit.pdf_start, pdf_eye),
                 pdf_next=dr.select(hit.active, hit.pdf_omega, eye_rev),
             ),
-            origin=Origin(point.si.p, point.si.sh_frame.n, dr.rcp(start.pdf), ~no_surface & _scatters(point.si)),
+            origin=Origin(
+                point.si.p, point.si.sh_frame.n, dr.rcp(start.pdf), ~no_surface & self._surfaces.flags.smooth(point.si)
+            ),
             emitted=emitted * scale,
             wavelengths=wavelengths,
             target=dr.select(dr.isfinite(target_value) & (s + t > 2), dr.maximum(target_value, 0.0), 0.0),
@@ -301,9 +303,9 @@ class PathJoiner:
         """s = 0: the eye path's own end is the light vertex."""
         emission, si = self.lights.emission, eye.vertex.si
         active = (s == 0) & (eye.reached if emission.has_environment else eye.solid)
-        emitter = si.emitter(self.scene, active)
+        emitter = emission.emitter(si, active)
         active = active & (emitter != None)  # noqa: E711 (a comparison of arrays of pointers)
-        radiance = mi.UnpolarizedSpectrum(emitter.eval(si, active))
+        radiance = mi.UnpolarizedSpectrum(emission.seen(emitter, si, active))
         pdf_start, index, _ = self.lights.pdf(emitter, si, active)
         cosine = dr.abs(dr.dot(si.to_world(si.wi), si.n))
         pdf_omega = emission.pdf_direction(index, mi.Bool(False), cosine, active, infinite=~si.is_valid())
@@ -329,11 +331,6 @@ class PathJoiner:
         ray.d = dr.select(at_film, -sample.direction, ray.d)
         ray.maxt = dr.select(at_film, length * SHADOW, ray.maxt)
         return self._surfaces.blocked(ray, active)
-
-
-def _scatters(si: mi.SurfaceInteraction3f) -> mi.Bool:
-    """Whether a surface scatters into more than single directions."""
-    return mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
 
 
 def _sum(ratios: Ratios) -> mi.Float:

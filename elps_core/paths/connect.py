@@ -46,7 +46,7 @@ class Connector:
         region_lights: RegionLights | None = None,
     ) -> None:
         self.scene = scene
-        self.surfaces = Surfaces(scene)
+        self.surfaces = Surfaces(scene, lights.emission.flags)
         self.camera = camera
         self.lights = lights
         self.directions = directions
@@ -70,7 +70,7 @@ class Connector:
         if self.region_lights is None:
             return mi.UInt32(NOWHERE)
         # Light may come from the other side of what transmits: light paths would see another region there.
-        known = active & ~mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Transmission)
+        known = active & ~self.surfaces.flags.transmits(si, active)
         return dr.select(known, self.directions.region(si, si.wi, known), NOWHERE)
 
     def first_light_vertex(self, vertex: Vertex, cell: mi.UInt32, active: mi.Bool) -> Partial:
@@ -98,7 +98,7 @@ class Connector:
         if not self.strategies.direct:
             active = active & (vertex.depth > 1)
         emission = self.lights.emission
-        emitter = vertex.si.emitter(self.scene, active)
+        emitter = emission.emitter(vertex.si, active)
         active = active & (emitter != None)  # noqa: E711 (a comparison of arrays of pointers)
         value, cosine = emission.met(emitter, vertex.si, active)
         active = active & (dr.max(value) > 0.0) & self._is_shown(0, vertex.depth + 1)

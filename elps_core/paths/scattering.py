@@ -6,7 +6,7 @@ one BSDF is dispatched together. Directions are local; densities are per solid a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -17,7 +17,7 @@ import numpy as np
 
 from elps_core.arrays import on_device
 from elps_core.paths.mis import Side
-from elps_core.scene.groups import every_shape
+from elps_core.scene.groups import MaterialFlags, every_shape, numbers
 
 STRAIGHT = 1e-8
 """Square of |wi + eta wo| below which a ray passes without being refracted, and tells of no normal."""
@@ -53,20 +53,26 @@ class Materials:
     """What the surfaces of one scene are made of.
 
     Mitsuba keeps one list of all BSDFs in the process: those that lie inside others, and those of other scenes. A call
-    that may go to any of them compiles all; here it may go to those alone that a shape of the scene has.
+    that may go to any of them compiles all; here it may go to those alone that a shape of the scene has, and to one of
+    those that are alike: Mitsuba makes a material of its own for each shape that names none.
     """
 
     def __init__(self, scene: mi.Scene) -> None:
-        carried = list(dict.fromkeys(shape.bsdf() for shape in every_shape(scene)))
-        self._carried = carried
-        numbers = np.array(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(carried)) if carried else [], np.int64)
-        places = np.zeros(int(numbers.max(initial=0)) + 1, np.uint32)
-        places[numbers] = np.arange(len(carried))
+        shapes = every_shape(scene)
+        carried = [bsdf for bsdf in dict.fromkeys(shape.bsdf() for shape in shapes) if bsdf is not None]
+        kinds: dict[Hashable, int] = {}
+        kind = [kinds.setdefault(_plain(bsdf) or bsdf, len(kinds)) for bsdf in carried]
+        first = dict(zip(reversed(kind), reversed(carried), strict=True))
+        self._carried = [first[k] for k in range(len(kinds))]
+        self.flags = MaterialFlags(scene)
+        of, kind_of = numbers(shapes), dict(zip(carried, kind, strict=True))
+        places = np.zeros(int(of.max(initial=0)) + 1, np.uint32)
+        places[of] = [kind_of.get(shape.bsdf(), 0) for shape in shapes]
         self._places = on_device(mi.UInt32, places)
 
     def _ask(self, question: Callable[..., Answer], si: mi.SurfaceInteraction3f, *rest: Any) -> Answer:
         """Put ``question`` to the BSDF of each surface point; the last argument tells where there is one to ask."""
-        number = dr.reinterpret_array(mi.UInt32, si.bsdf())
+        number = dr.reinterpret_array(mi.UInt32, si.shape)
         active = rest[-1] & (number != 0)
         place = dr.gather(mi.UInt32, self._places, number, active)
         answer: Answer = dr.switch(place, [partial(question, bsdf) for bsdf in self._carried], si, *rest[:-1], active)
@@ -191,6 +197,18 @@ class Materials:
         if side == "light":
             event.weight = event.weight * (dr.abs(dr.dot(si.to_world(event.wo), si.n)) / _cos_in(si))
         return event
+
+
+def _plain(bsdf: mi.BSDF) -> Hashable:
+    """What tells a diffuse material of one reflectance from others, to the last digit; None of all other materials."""
+    if bsdf.class_name() != "SmoothDiffuse":
+        return None
+    params = mi.traverse(bsdf)
+    if [name for name, *_ in params] != ["reflectance.value"]:
+        return None
+    value = params["reflectance.value"]
+    channels = [value] if isinstance(value, mi.Float) else list(value)
+    return type(value).__name__, *(float(channel[0]) for channel in channels)
 
 
 def _exchange(wi: mi.Vector3f, sample: mi.BSDFSample3f) -> mi.Float:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from elps_core.scene.groups import every_shape
-
-FRAME_MAPS = ("NormalMap", "BumpMap")
-"""Materials that bend the shading frame, as their descriptions name them."""
+from elps_core.scene.groups import MaterialFlags
 
 
 class Surfaces:
     """A scene's surfaces. Participating media are left out, as Mitsuba's ``path`` leaves them out."""
 
-    def __init__(self, scene: mi.Scene) -> None:
+    def __init__(self, scene: mi.Scene, flags: MaterialFlags | None = None) -> None:
+        """``flags`` of the scene's materials are found if they are not given."""
         self.scene = scene
-        descriptions = {str(shape.bsdf()) for shape in every_shape(scene)}
-        self.bends_frames = any(name in text for text in descriptions for name in FRAME_MAPS)
+        self.flags = flags or MaterialFlags(scene)
+        self.bends_frames = self.flags.bends_frames
         """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
 
     def shadowed(self, si: mi.SurfaceInteraction3f, target: mi.Point3f, active: mi.Bool) -> mi.Bool:
@@ -34,5 +32,5 @@ class Surfaces:
         """
         if self.bends_frames:
             return mi.Bool(True)
-        transmits = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Transmission)
+        transmits = self.flags.transmits(si)
         return transmits | (mi.Frame3f.cos_theta(si.wi) * mi.Frame3f.cos_theta(wo) > 0.0)

@@ -15,6 +15,7 @@ from elps_core.paths.scattering import Scattered
 from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
 from elps_core.sampling.direction import Directions
+from elps_core.scene.meeting import Meeting
 
 State = TypeVar("State")
 Visit: TypeAlias = "Callable[[Walk, Vertex, State, mi.Bool], State]"
@@ -61,7 +62,7 @@ class Walk:
 
 
 def random_walk(
-    scene: mi.Scene,
+    rays: mi.Scene | Meeting,
     start: Walk,
     visit: Visit[State],
     state: State,
@@ -85,7 +86,7 @@ def random_walk(
     """
 
     def extend(walk: Walk, state: State) -> tuple[Vertex, State, mi.Bool]:
-        si = scene.ray_intersect(walk.ray, ray_flags=mi.RayFlags.All, coherent=False, active=walk.active)
+        si = rays.ray_intersect(walk.ray, ray_flags=mi.RayFlags.All, coherent=False, active=walk.active)
         active = walk.active & si.is_valid()
         # Rays that leave the scene arrive nowhere: their densities stay those of directions.
         cos_in = dr.select(active, dr.abs(dr.dot(si.n, walk.ray.d)), 1.0)

@@ -7,6 +7,9 @@ wished for and had to do without. Lamps without extent and those at infinity kee
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import drjit as dr
 import mitsuba as mi
 
@@ -14,6 +17,8 @@ from elps_core.context.encoding import DirectionalTables
 from elps_core.context.field import DirectionalField
 from elps_core.errors import ContextMismatch
 
+PieceOf: TypeAlias = "Callable[[mi.UInt32, mi.Bool], mi.UInt32]"
+"""From a cell of the start density to the piece that holds it."""
 SHARE = 0.75
 """Chance of a direction from the table, where a piece has one."""
 ENOUGH = 64
@@ -21,19 +26,18 @@ ENOUGH = 64
 
 
 class Departures:
-    """Densities of directions from the pieces of all emitters' unit square, ``cells`` of which make up each piece."""
+    """Densities of directions from the pieces of all emitters' unit square."""
 
-    def __init__(self, tables: DirectionalTables, cells: int) -> None:
-        """``cells`` is the number of cells of the square.
+    def __init__(self, tables: DirectionalTables, pieces: int, piece_of: PieceOf) -> None:
+        """``pieces`` is their number, ``piece_of`` tells which one holds a cell of the square.
 
         Raises:
-            ContextMismatch: they do not make up pieces.
+            ContextMismatch: there are not as many tables.
         """
-        count = tables.shape[0]
-        if not count or cells % count:
+        if tables.shape[0] != pieces:
             raise ContextMismatch("the context belongs to a scene with other lights: build it again for this scene")
         self._field = DirectionalField(None, tables)
-        self._cells = cells // count
+        self._piece_of = piece_of
         self._share = dr.opaque(mi.Float, SHARE)
 
     def choose(self, cell: mi.UInt32, u: mi.Point2f, active: mi.Bool) -> tuple[mi.Bool, mi.Vector3f, mi.Point2f]:
@@ -52,6 +56,6 @@ class Departures:
         return dr.lerp(pdf, by_table, share)
 
     def _piece(self, cell: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.Float]:
-        piece = cell // self._cells
+        piece = self._piece_of(cell, active)
         known = active & (self._field.evidence(piece, active) >= ENOUGH)
         return piece, dr.select(known, self._share, 0.0)

@@ -177,7 +177,7 @@ class GuidedDirections(Directions):
 
     def sample(self, si: mi.SurfaceInteraction3f, stream: Stream, side: Side, active: mi.Bool) -> Scattered:
         """As of :class:`Directions`: by table or by scattering, and weighted by the density of both together."""
-        smooth = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
+        smooth = self.materials.flags.smooth(si)
         guide = self.guides[side]
         if guide is None or side not in self._shares:
             event = super().sample(si, stream, side, active)

@@ -42,11 +42,27 @@ def interval(edges: mi.Float, first: mi.UInt32, size: int, x: mi.Float, active: 
     return dr.binary_search(0, size - 1, lambda i: dr.gather(mi.Float, edges, first + i + 1, active) <= x)
 
 
+def interval_of_many(edges: mi.Float, first: mi.UInt32, size: mi.UInt32, x: mi.Float, active: mi.Bool) -> mi.UInt32:
+    """As :func:`interval`, of as many intervals as a kernel is told when it runs."""
+
+    def halve(low: mi.UInt32, high: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        middle = (low + high) >> 1
+        below = dr.gather(mi.Float, edges, first + middle + 1, active) <= x
+        return dr.select(below, dr.minimum(middle + 1, high), low), dr.select(below, high, middle)
+
+    state = (mi.UInt32(0) & first, size - 1 + (mi.UInt32(0) & first))
+    low, _ = dr.while_loop(state, lambda low, high: active & (low < high), halve, label="elps interval")
+    return low
+
+
 def drawn(
-    edges: mi.Float, first: mi.UInt32, size: int, x: mi.Float, fine: mi.Float, active: mi.Bool
+    edges: mi.Float, first: mi.UInt32, size: int | mi.UInt32, x: mi.Float, fine: mi.Float, active: mi.Bool
 ) -> tuple[mi.UInt32, mi.Float]:
     """As :func:`interval`, and where ``x`` lies in it, in [0, 1): ``fine`` fills the step that ``x`` is rounded to."""
-    index = interval(edges, first, size, x, active)
+    if isinstance(size, int):
+        index = interval(edges, first, size, x, active)
+    else:
+        index = interval_of_many(edges, first, size, x, active)
     low = dr.gather(mi.Float, edges, first + index, active)
     high = dr.gather(mi.Float, edges, first + index + 1, active)
     # A step at least, as every interval has: where nothing was read there is no width.

@@ -20,6 +20,7 @@ from elps_core.arrays import on_device
 from elps_core.sampling.departures import Departures
 from elps_core.sampling.inversion import RESOLUTION, cumulative, drawn, quantized
 from elps_core.scene.emission import Emission, LightPoint
+from elps_core.scene.emitters import MANY
 
 
 @dataclass
@@ -46,10 +47,16 @@ class StartDensity:
         self.emission = emission
         self.rows, self.columns = rows, columns
         self.per_emitter = columns // emission.count
+        # Of many emitters the size of the table is data, not code: see MANY.
+        self.many = emission.count > MANY
+        self._rows = dr.opaque(mi.UInt32, rows) if self.many else rows
+        self._columns = dr.opaque(mi.UInt32, columns) if self.many else columns
+        self._count = dr.opaque(mi.UInt32, emission.count) if self.many else mi.UInt32(emission.count)
         weights = np.maximum(np.nan_to_num(table.astype(np.float64), nan=0.0, posinf=0.0), 0.0)
         column_steps = quantized(weights.sum(axis=0))
         row_steps = quantized(np.ascontiguousarray(weights.T))  # [columns, rows]
         self._column_cdf = on_device(mi.Float, cumulative(column_steps))
+        self._column_steps = column_steps
         self._row_cdf = on_device(mi.Float, cumulative(row_steps))
         self.probability = (column_steps[:, None] * row_steps).astype(np.float64) / RESOLUTION**2
         """Chance of each cell, [columns, rows]; sums to one."""
@@ -83,17 +90,17 @@ class StartDensity:
         Where an emitter is ``given`` (less than the emitters there are), its point at ``u_given`` is taken
         instead, with the density that drawing it would have had.
         """
-        column, x = drawn(self._column_cdf, mi.UInt32(0), self.columns, u_cell.x, u_point.x, active)
-        if self.flat and self.rows == 1:
+        column, x = drawn(self._column_cdf, mi.UInt32(0), self._columns, u_cell.x, u_point.x, active)
+        if self.flat and self.rows == 1 and not self.many:
             row, y = mi.UInt32(0), u_cell.y
         else:
-            row, y = drawn(self._row_cdf, column * (self.rows + 1), self.rows, u_cell.y, u_point.y, active)
+            row, y = drawn(self._row_cdf, column * (self._rows + 1), self._rows, u_cell.y, u_point.y, active)
         index = column // self.per_emitter
         inside = mi.Float(column - index * self.per_emitter)
-        u = mi.Point2f((inside + x) / self.per_emitter, (mi.Float(row) + y) / self.rows)
-        cell = column * self.rows + row
+        u = mi.Point2f((inside + x) / self.per_emitter, (mi.Float(row) + y) / mi.Float(self._rows))
+        cell = column * self._rows + row
         if given is not None and u_given is not None:
-            chosen = given < self.emission.count
+            chosen = given < self._count
             index, u = dr.select(chosen, given, index), dr.select(chosen, u_given, u)
             cell = dr.select(chosen, self.cell(given, u_given), cell)
         point = self.emission.point(index, u, wavelengths, active)
@@ -112,7 +119,7 @@ class StartDensity:
         index = self.emission.index_of(emitter, active)
         pdf = self.emission.density(index, si, active)
         if self.flat:
-            return dr.gather(mi.Float, self._mean, index, active) * pdf, index, index * self.per_emitter * self.rows
+            return dr.gather(mi.Float, self._mean, index, active) * pdf, index, index * self.per_emitter * self._rows
         u = self.emission.inverse(index, si, active)
         cell = self.cell(index, u)
         return dr.gather(mi.Float, self._density, cell, active) * pdf, index, cell
@@ -149,7 +156,11 @@ class StartDensity:
     def cell(self, index: mi.UInt32, u: mi.Point2f) -> mi.UInt32:
         """The cell of emitter ``index`` that holds the point of its unit square."""
         column = index * self.per_emitter + dr.minimum(mi.UInt32(u.x * self.per_emitter), self.per_emitter - 1)
-        return column * self.rows + dr.minimum(mi.UInt32(u.y * self.rows), self.rows - 1)
+        return column * self._rows + dr.minimum(mi.UInt32(u.y * mi.Float(self._rows)), self._rows - 1)
+
+    def steps(self) -> NDArray[np.int64]:
+        """Chance of each emitter [count] in steps of :data:`RESOLUTION`."""
+        return np.asarray(self._column_steps.reshape(self.emission.count, -1).sum(axis=1))
 
     def density(self, cell: mi.UInt32, active: mi.Bool) -> mi.Float:
         """Density over its emitter's unit square, over all emitters, in a cell."""
@@ -158,7 +169,7 @@ class StartDensity:
     @property
     def nowhere(self) -> mi.UInt32:
         """An index that is no emitter's."""
-        return mi.UInt32(self.emission.count)
+        return self._count
 
 
 def uniform_table(emission: Emission) -> NDArray[np.float64]:

@@ -29,12 +29,17 @@ from elps_core.scene.emitters import (
     describe_emitters,
 )
 from elps_core.scene.environment import Environment
+from elps_core.scene.groups import MaterialFlags, every_shape, numbers
+from elps_core.scene.meeting import Meeting
 from elps_core.scene.meshlight import MeshLights
+from elps_core.scene.radiance import Radiance
 from elps_core.scene.shapelight import ShapeLights
-from elps_core.scene.spectrum import luminance, sample_wavelengths
+from elps_core.scene.spectrum import luminance, luminance_weights, sample_wavelengths
 
-POWER_SAMPLES = 32
-"""Side of the grid of points (and of directions) over which an emitter's power is averaged."""
+POWER_SAMPLES, FEWEST_SAMPLES = 32, 8
+"""Side of the grid of points (and of directions) over which an emitter's power is averaged; the least, of many."""
+POWER_LANES = 1 << 22
+"""Points of all grids together: 64 MB of results, and a tenth of a second."""
 DISK_MARGIN = 1.001
 """The disk's radius over that of the scene's bounding sphere: rounding must not cut the scene."""
 
@@ -62,6 +67,8 @@ class Emission:
         self._scene = scene  # Pointers to emitters do not keep them alive.
         lights = describe_emitters(scene)
         self.count = len(lights)
+        self._kinds = np.array([light.kind for light in lights])
+        self._areas = np.array([light.area for light in lights])
         self.kinds = frozenset(light.kind for light in lights)
         self.has_surface = not self.kinds.isdisjoint(SURFACES)
         self.has_point = not self.kinds.isdisjoint(POINTS)
@@ -76,18 +83,31 @@ class Emission:
         order = np.zeros(int(ids.max()) + 1, np.uint32)
         order[ids] = np.arange(self.count, dtype=np.uint32)
         self._order = on_device(mi.UInt32, order)
+        shapes = every_shape(scene)
+        of = numbers(shapes)
+        carried = np.zeros(int(of.max(initial=0)) + 1, np.uint32)
+        carried[numbers([light.shape for light in lights if light.shape is not None])] = ids[
+            [light.shape is not None for light in lights]
+        ]
+        self._of_shape = on_device(mi.UInt32, carried)
         self._shapes = mi.ShapePtr([light.shape for light in lights])
         self._kind = on_device(mi.UInt32, [light.kind_index for light in lights])
-        self._area = on_device(mi.Float, [light.area for light in lights])
+        self._area = on_device(mi.Float, self._areas)
         self._to_local = on_device(mi.Float, [light.to_local for light in lights])
         self._position = on_device(mi.Float, [light.position for light in lights])
         self._cutoff = on_device(mi.Float, [light.cos_cutoff for light in lights])
+        self._radiance = Radiance(lights)
         self._on_shapes = ShapeLights(lights)
+        self.flags = MaterialFlags(scene)
+        """Of the materials in the scene, lamps' own included."""
+        self.rays = Meeting(scene, lights, self._on_shapes)
+        """What rays meet in the scene, lamps included."""
         self._meshes = MeshLights(lights) if "mesh" in self.kinds else None
         sphere = scene.bbox().bounding_sphere()
         self._centre, self._radius = mi.Point3f(sphere.center), mi.Float(DISK_MARGIN * sphere.radius)
         dr.make_opaque(self._centre, self._radius)  # Data, not code: scenes share kernels.
         surround = [light for light in lights if light.kind in ENVIRONMENTS]
+        self._around = dr.opaque(mi.UInt32, int(ids[lights.index(surround[0])]) if surround else 0)
         self._environment = Environment(surround[0].emitter, surround[0].kind, self.time) if surround else None
         self.keys = np.array([light.key for light in lights], np.float32)
         """One row per emitter, [count, KEY_LENGTH], that tells it from the others in any load of the scene."""
@@ -153,6 +173,13 @@ class Emission:
 
     # -- F^-1 ------------------------------------------------------------------------------------
 
+    def emitter(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.EmitterPtr:
+        """The emitter that a ray has met, where it left the scene the environment; None where there is none."""
+        number = dr.gather(mi.UInt32, self._of_shape, dr.reinterpret_array(mi.UInt32, si.shape), active)
+        if self._environment:
+            number = dr.select(active & ~si.is_valid(), self._around, number)
+        return dr.reinterpret_array(mi.EmitterPtr, number)
+
     def index_of(self, emitter: mi.EmitterPtr, active: mi.Bool) -> mi.UInt32:
         """Which emitter a pointer names, in this object's order."""
         return dr.gather(mi.UInt32, self._order, dr.reinterpret_array(mi.UInt32, emitter), active)
@@ -189,18 +216,22 @@ class Emission:
             si = mi.SurfaceInteraction3f(point.si)
             # An environment is asked with world directions, as a ray that leaves the scene asks it.
             si.wi = dr.select(point.infinite, direction, si.to_local(direction))
-            value = point.emitter.eval(si, active & ~point.delta)
+            value = self._radiance.seen(point.index, si, active & ~point.delta)
         if self.has_point or self.has_directional:
             # At unit distance the irradiance of a point light is its intensity.
             near = mi.Interaction3f(0.0, self.time, point.si.wavelengths, point.si.p + direction)
-            _, intensity = point.emitter.sample_direction(near, mi.Point2f(0.5), active & point.delta)
+            intensity = self._radiance.sent(point.index, near, active & point.delta)
             value = dr.select(point.delta, intensity, value)
         return value & active, cosine
+
+    def seen(self, emitter: mi.EmitterPtr, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Spectrum:
+        """Radiance of ``emitter`` towards a ray that met it; ``si`` as for :meth:`density`."""
+        return self._radiance.seen(self.index_of(emitter, active), si, active)
 
     def met(self, emitter: mi.EmitterPtr, si: mi.SurfaceInteraction3f, active: mi.Bool) -> tuple[mi.Spectrum, mi.Float]:
         """Radiance of ``emitter`` towards a ray that met it, and the cosine: what :meth:`radiance` gives
         for the same point and direction. ``si`` as for :meth:`density`."""
-        value = emitter.eval(si, active)
+        value = self.seen(emitter, si, active)
         # The side that emits is that of the shading normal, whichever way a triangle is wound or a shape mirrored.
         cosine = dr.mulsign(dr.dot(si.to_world(si.wi), si.n), dr.dot(si.n, si.sh_frame.n))
         cosine = dr.select(si.is_valid(), dr.maximum(cosine, 0.0), 1.0)
@@ -266,12 +297,26 @@ class Emission:
         return dr.normalize(mi.Vector3f(row.x, row.y, row.z))
 
     def _measure_power(self) -> NDArray[np.float64]:
-        """Average emission over a grid on each emitter, times its area and solid angle."""
-        cells = POWER_SAMPLES**2
-        i = dr.arange(mi.UInt32, cells * self.count)
-        index, cell = i // cells, i % cells
-        u = mi.Point2f((cell % POWER_SAMPLES + 0.5) / POWER_SAMPLES, (cell // POWER_SAMPLES + 0.5) / POWER_SAMPLES)
-        wavelengths, weight = sample_wavelengths((cell + 0.5) / cells)
+        """Average emission over a grid on each emitter, times its area and solid angle; closed forms where they are."""
+        known = self._radiance.known
+        # Light of a surface into all directions of a half space, and of a point into all.
+        around = np.where(np.isin(self._kinds, SURFACES), np.pi * self._areas, 4.0 * np.pi)
+        bright = self._radiance.values @ (np.ones(1) if mi.is_monochromatic else luminance_weights())
+        power: NDArray[np.float64] = np.where(known, around * bright, 0.0)
+        if not known.all():
+            power[~known] = self._measured_power(np.flatnonzero(~known))
+        return power
+
+    def _measured_power(self, emitters: NDArray[np.int64]) -> NDArray[np.float64]:
+        side = int(np.clip(np.sqrt(POWER_LANES / len(emitters)), FEWEST_SAMPLES, POWER_SAMPLES))
+        cells, side = side**2, dr.opaque(mi.UInt32, side)
+        i = dr.arange(mi.UInt32, cells * len(emitters))
+        place = i // dr.opaque(mi.UInt32, cells)
+        cell = i - place * dr.opaque(mi.UInt32, cells)
+        index = dr.gather(mi.UInt32, on_device(mi.UInt32, emitters), place)
+        row = cell // side
+        u = mi.Point2f(mi.Float(cell - row * side) + 0.5, mi.Float(row) + 0.5) / mi.Float(side)
+        wavelengths, weight = sample_wavelengths((mi.Float(cell) + 0.5) / dr.opaque(mi.Float, cells))
         active = mi.Bool(True)
         point = self.point(index, u, wavelengths, active)
         # Along the normal: area lights emit alike into all directions; others over their own cone.
@@ -281,4 +326,4 @@ class Emission:
         value, _ = self.radiance(point, direction, active)
         one = self.pdf_direction(index, point.delta, mi.Float(1.0), active, infinite=point.infinite)
         flux = np.array(luminance(value * weight, wavelengths) / (point.pdf * one), np.float64)
-        return np.asarray(np.nan_to_num(flux.reshape(self.count, cells).mean(axis=1), nan=0.0, posinf=0.0))
+        return np.asarray(np.nan_to_num(flux.reshape(len(emitters), cells).mean(axis=1), nan=0.0, posinf=0.0))

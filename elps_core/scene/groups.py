@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from elps_core.arrays import on_device
+
+FRAME_MAPS = ("NormalMap", "BumpMap")
+"""Materials that bend the shading frame, as their descriptions name them."""
 
 
 class _Parts(mi.TraversalCallback):
@@ -21,7 +29,48 @@ class _Parts(mi.TraversalCallback):
 
 def every_shape(scene: mi.Scene) -> list[mi.Shape]:
     """All shapes that rays can meet: ``scene.shapes()`` holds instances in place of what these repeat."""
-    return list(dict.fromkeys([*scene.shapes(), *_parts(scene)]))
+    shapes = scene.shapes()
+    if all(shape.class_name() != "Instance" for shape in shapes):
+        return list(shapes)
+    return list(dict.fromkeys([*shapes, *_parts(scene)]))
+
+
+def numbers(shapes: list[mi.Shape]) -> NDArray[np.int64]:
+    """By which pointers name shapes in kernels [n], from 1 on; 0 is none."""
+    found = np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes)) if shapes else [], np.int64)
+    return np.broadcast_to(found, len(shapes))
+
+
+class MaterialFlags:
+    """Flags of the material at surface points, from a table.
+
+    Asked through pointers, each question is a table of all shapes that Mitsuba writes into the kernel, whose code then
+    depends on their number.
+    """
+
+    def __init__(self, scene: mi.Scene) -> None:
+        shapes = every_shape(scene)
+        of = numbers(shapes)
+        flags = np.zeros(int(of.max(initial=0)) + 1, np.uint32)
+        carried = [shape.bsdf() for shape in shapes]
+        known = {bsdf: int(bsdf.flags()) for bsdf in dict.fromkeys(carried) if bsdf}
+        flags[of] = [known.get(bsdf, 0) for bsdf in carried]
+        descriptions = {str(bsdf) for bsdf in known}
+        self.bends_frames = any(name in text for text in descriptions for name in FRAME_MAPS)
+        """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
+        self._flags = on_device(mi.UInt32, flags)
+
+    def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.UInt32:
+        """Flags of the BSDF that ``si`` lies on; none where it lies on no surface."""
+        return dr.gather(mi.UInt32, self._flags, dr.reinterpret_array(mi.UInt32, si.shape), active)
+
+    def smooth(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Bool:
+        """Whether the surface scatters into more than single directions."""
+        return mi.has_flag(self(si, active), mi.BSDFFlags.Smooth)
+
+    def transmits(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Bool:
+        """Whether light passes through the surface."""
+        return mi.has_flag(self(si, active), mi.BSDFFlags.Transmission)
 
 
 def _parts(whole: mi.Object) -> list[mi.Shape]:

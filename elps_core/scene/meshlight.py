@@ -48,7 +48,8 @@ class MeshLights:
     """
 
     def __init__(self, lights: list[Light]) -> None:
-        meshes = [_Mesh(light.shape if light.kind == "mesh" else None) for light in lights]
+        none = _Mesh(None)
+        meshes = [_Mesh(light.shape) if light.kind == "mesh" else none for light in lights]
         self.smooth = any(mesh.smooth for mesh in meshes)
         """Whether a mesh interpolates normals: what emits is then the side of the shading normal."""
         self._mapped = any(mesh.mapped for mesh in meshes)

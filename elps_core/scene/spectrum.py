@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
 LUMINANCE_OF_ONE = 106.857
 """Integral of the eye's response over wavelengths in nanometres (CIE 1931), to which Mitsuba's spectra are scaled."""
@@ -26,3 +28,8 @@ def luminance(value: mi.UnpolarizedSpectrum, wavelengths: mi.Spectrum) -> mi.Flo
     if mi.is_spectral:
         return mi.luminance(value, wavelengths)
     return value.x if mi.is_monochromatic else mi.luminance(value)
+
+
+def luminance_weights() -> NDArray[np.float64]:
+    """Of linear red, green and blue in luminance, as Mitsuba weighs them."""
+    return np.array([0.212671, 0.715160, 0.072169])

@@ -21,8 +21,13 @@ RUNS = int(os.environ.get("ELPS_TEST_CUTS", "16"))
 """Images by a context of their own each, of every phase."""
 REFERENCES, REFERENCE_SPP = 64, 512
 CONTEXT: dict[str, Any] = {
-    **{"resolution": 8, "max_depth": DEPTH, "regions": 16, "rows": 4, "columns": 8},
-    **{"tolerance": 0.0, "paths": (1 << 15) * 15},
+    "resolution": 8,
+    "max_depth": DEPTH,
+    "regions": 16,
+    "rows": 4,
+    "columns": 8,
+    "tolerance": 0.0,
+    "paths": (1 << 15) * 15,
 }
 CUTS = {
     "before the first step": 0,

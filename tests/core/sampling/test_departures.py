@@ -23,7 +23,7 @@ def departures(evidence: int = 1000) -> Any:
 
     values = np.random.default_rng(3).random((4, *GRID)) ** 3
     known = np.array([evidence] * 3 + [0])
-    return Departures(DirectionalTables.of(values, np.ones(4), known), CELLS)
+    return Departures(DirectionalTables.of(values, np.ones(4), known), 4, lambda cell, _: cell // (CELLS // 4))
 
 
 def drawn(cell: int) -> tuple[Any, Any, Any]:
@@ -104,4 +104,4 @@ def test_tables_of_other_lights_are_refused(mi: Any) -> None:
 
     tables = DirectionalTables.of(np.ones((5, *GRID)), np.ones(5), np.ones(5, int))
     with pytest.raises(ContextMismatch, match="other lights"):
-        Departures(tables, CELLS)
+        Departures(tables, 4, lambda cell, _: cell // (CELLS // 4))

@@ -12,7 +12,7 @@ import pytest
 
 from elps_core import device
 from elps_core.errors import SettingsRejected
-from elps_core.scene.generate import GENERATORS, SceneDescription, cornell, door, maze, office, sphere, write
+from elps_core.scene.generate import GENERATORS, SceneDescription, cornell, door, lamps, maze, office, sphere, write
 from elps_core.scene.generate.cornell import FLUX
 from elps_core.scene.generate.maze import label
 from elps_core.scene.generate.mesh import smooth
@@ -130,6 +130,39 @@ def test_every_light_of_the_cornell_box_has_the_same_flux(shape: Any, tmp_path: 
     assert emission.power == pytest.approx([np.dot(LUMINANCE, FLUX)], rel=2e-3)
 
 
+@pytest.mark.parametrize("shapes", ["mixed", "sphere", "rectangle", "point"])
+@pytest.mark.parametrize("count", [1, 7, 200])
+def test_a_hall_has_as_many_lamps_as_asked_for_and_the_same_light(count: int, shapes: Any, tmp_path: Path) -> None:
+    from elps_core.scene.emission import Emission
+
+    device.use("llvm_ad_rgb")
+    write(lamps(lamps=count, shapes=shapes), tmp_path / "lamps.zip")
+    emission = Emission(load_scene(tmp_path / "lamps.zip", "llvm_ad_rgb", size=(8, 8)).scene)
+    assert emission.count == count
+    assert len(np.unique(emission.keys, axis=0)) == count
+    assert emission.power.max() < 2.0 * emission.power.min()
+    assert 0.5 * 2200 < emission.power.sum() < 2200 * 1.01
+
+
+def test_lamps_of_a_hall_stand_free(tmp_path: Path) -> None:
+    """What leaves a lamp goes some way before it meets anything."""
+    import drjit as dr
+
+    from elps_core.scene.emission import Emission
+
+    mi = device.use("llvm_ad_rgb")
+    write(lamps(lamps=300), tmp_path / "lamps.zip")
+    scene = load_scene(tmp_path / "lamps.zip", "llvm_ad_rgb", size=(8, 8)).scene
+    emission = Emission(scene)
+    index = dr.arange(mi.UInt32, emission.count * 64)
+    u = np.random.default_rng(3).random((2, emission.count * 64), dtype=np.float32)
+    point = emission.point(index // 64, mi.Point2f(u), mi.Color0f(), mi.Bool(True))
+    met = scene.ray_intersect(mi.Ray3f(point.si.p + 1e-3 * point.si.n, mi.Vector3f(point.si.n)))
+    assert bool(dr.all(met.is_valid()))
+    near = np.array(met.t).reshape(-1, 64)
+    assert (np.quantile(near, 0.75, axis=1) > 0.05).all(), "half of a sphere is near the board that it stands on"
+
+
 def test_a_shut_door_without_cracks_lets_nothing_through(tmp_path: Path) -> None:
     assert picture(tmp_path, door(angle=0, crack=0), spp=256).max() == 0.0
 
@@ -162,6 +195,8 @@ def test_a_curve_meets_its_points_and_makes_no_loop() -> None:
         ("door", {"crack": 1.0}),
         ("cornell", {"light_shape": "torus"}),
         ("cornell", {"objects": "teapots"}),
+        ("lamps", {"lamps": 0}),
+        ("lamps", {"shapes": "candle"}),
         ("sphere", {"albedo": 1.0}),
         ("sphere", {"width": 0}),
     ],
