@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, astuple, fields
+from dataclasses import asdict, astuple, fields, replace
 from typing import Any
 
 import drjit as dr
@@ -24,17 +24,34 @@ from elps_core.scene.digest import context_digest
 from elps_core.scene.emission import Emission
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
-from elps_core.selection.candidates import CANDIDATES, MEANWHILE, TRIALS, Candidate, Trial, fit_candidates, plain_of
-from elps_core.selection.race import ENDLESS, Allowance, contenders, next_trial, training_pays
+from elps_core.selection.candidates import (
+    CANDIDATES,
+    GUIDED_PATH,
+    MEANWHILE,
+    TRIALS,
+    Candidate,
+    Trial,
+    fit_candidates,
+    plain_of,
+)
+from elps_core.selection.race import (
+    ENDLESS,
+    Allowance,
+    contenders,
+    hard_to_find,
+    in_the_middle,
+    next_trial,
+    training_pays,
+)
 from elps_core.selection.trials import TrialRunner
 from elps_core.settings import ContextSettings
+from elps_core.timing import KernelClock
 
 COMPARED_AFTER = 3
 """Steps of filling after which it is asked whether tables will pay: 2^15 + 2^16 + 2^17 paths."""
-TRAINING = 0.8
-"""Part of the time for preparing after which tables are filled no further: the rest is for trials."""
-KERNELS = 3.0
-"""Time that the two kernels of training take to compile, over that of plain paths."""
+TRAINING_KERNELS, PATHS = 6.0, 2.0
+"""What it takes to have tables that help at all: time to compile the kernels of training, over that of plain paths, and
+seconds to trace paths."""
 COMPARED_BY = 0.5
 """Part of it after which tables are compared with what needs none, however few paths have filled them."""
 
@@ -64,6 +81,7 @@ class ContextBuilder:
         self._parts: DirectionalParts | None = None
         self._seconds = 0.0
         self._allowance = ENDLESS
+        self._compiling = 0.0
         self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings)
 
     @property
@@ -107,20 +125,30 @@ class ContextBuilder:
         """
         begin = time.perf_counter()
         dr.flush_malloc_cache()  # Each step has larger arrays, and no use for memory of the sizes before
-        self._allowance = allowance
+        # What had to be compiled was not on disk, and what comes after it will not be there.
+        self._allowance = replace(allowance, compiling=max(allowance.compiling, self._compiling))
+        first = self.done == 0
+        with KernelClock() as kernels:
+            self._take()
+        if first:
+            self._compiling = kernels.compiling / TRAINING_KERNELS
+        self._seconds += time.perf_counter() - begin
+
+    def _take(self) -> None:
+        """Take the next step, whatever it is."""
         if self._adjoint and len(self._adjoint.batches) < adjoint.STEPS:
             self._adjoint.step()
         elif self._tables:
             self._advance(self._tables)
-        self._seconds += time.perf_counter() - begin
 
     def _advance(self, tables: TableBuilder) -> None:
         """One step of the tables, or one trial."""
-        left, filling = self._allowance.left(TRAINING), tables.done < tables.steps
+        left, filling = self._allowance.left_for_training(tables.yet_to_come), tables.done < tables.steps
         if filling and not self._compared and self._to_be_compared(tables):
             if (candidate := self._next_trial()) is None:
                 self._compared = True
-                if not training_pays(self._middle):
+                tables.seeks_slits = hard_to_find(self._middle)
+                if not training_pays(self._middle, tables.gain):
                     self._stop(tables)
             else:
                 self._middle.append(self._runner(tables).run(candidate, self._middle))
@@ -142,8 +170,8 @@ class ContextBuilder:
         return bool(self._candidates) and not self._settings.thorough
 
     def first_needs(self, allowance: Allowance) -> float:
-        """Seconds that the next step takes at least: the first one compiles the kernels of training."""
-        return KERNELS * allowance.compiling if self.done == 0 else 0.0
+        """Seconds that have to be left for the next step: the first one is of no use without tables after it."""
+        return TRAINING_KERNELS * allowance.compiling + PATHS if self.done == 0 else 0.0
 
     def _to_be_compared(self, tables: TableBuilder) -> bool:
         if not tables.filled or not tables.knows_nothing:
@@ -152,8 +180,10 @@ class ContextBuilder:
 
     def _end(self, tables: TableBuilder) -> None:
         """Fill tables no further: they are as good as time allows, or have converged."""
+        if self._allowance.left() > tables.yet_to_come:
+            tables.look_for_slits()
         tables.stop()
-        self._compared = True
+        self._compared, self._parts = True, None
 
     def _stop(self, tables: TableBuilder) -> None:
         """Fill tables no further, because they will not pay: what was tried by then is all that is."""
@@ -166,9 +196,15 @@ class ContextBuilder:
             return None
         of_middle = self._tables is not None and not self._compared
         trials = self._middle if of_middle else self._trials
-        fit = self._candidates if of_middle else contenders(self._candidates, self._middle)
+        fit = in_the_middle(self._candidates) if of_middle else contenders(self._candidates, self._middle)
+        if not of_middle:  # What tables were filled for comes first: others were tried before, or can wait
+            fit = sorted(fit, key=lambda candidate: candidate != GUIDED_PATH)
         caustics = self._tables is not None and self._tables.caustics
-        return next_trial(fit, trials, self._allowance, caustics=caustics)
+        allowance = self._allowance.hasty() if of_middle else self._allowance
+        # Gaps that are aimed at by now were no part of the kernels then.
+        same = self._tables is not None and not self._tables.slits_found
+        compiled = [trial.name for trial in self._middle if same or trial.candidate.guiding != "full"]
+        return next_trial(fit, trials, allowance, compiled=compiled, caustics=caustics)
 
     def _runner(self, tables: TableBuilder) -> TrialRunner:
         self._parts = self._parts or tables.result()
@@ -213,7 +249,7 @@ class ContextBuilder:
                 "thorough": not self._stopped,
             }
         if self._candidates:
-            statistics[TRIALS] = [asdict(trial) for trial in self._trials]
+            statistics[TRIALS] = [asdict(trial) for trial in brought_up(self._trials, self._middle)]
             statistics[MEANWHILE] = plain_of(self._candidates).name
         self._seconds += time.perf_counter() - begin
         statistics = {"seconds": round(self._seconds, 3), **statistics}

@@ -23,6 +23,10 @@ CLEAR = 4.0
 of it than the one before because it has found more."""
 LEAST_PATHS = 1e-9
 """Of a pixel, so that one without any is black."""
+LEAST = 1e-300
+"""In place of nothing, where something is divided by it."""
+WORST = 0.02
+"""Part of the pixels that is left out where the variance of steps is compared."""
 NO_REGION = np.iinfo(np.uint16).max
 """What the view holds where no surface is seen."""
 
@@ -42,9 +46,13 @@ class PilotImage:
         """Of luminances, and of paths [2, rows, columns]."""
         self.newest: Doubles = np.zeros((2, 3, *self.shape))
         """The same and the sum of squares, of the step before the last one and of the last [2, 3, rows, columns]."""
+        self.first: Doubles = np.zeros((3, *self.shape))
+        """The same of the first step, whose paths no table has guided [3, rows, columns]."""
 
     def begin_step(self) -> None:
         """Noise is that of the paths from here on."""
+        if not self.first.any():
+            self.first = self.newest[1].copy()
         self.newest = np.stack([self.newest[1], np.zeros_like(self.newest[1])])
 
     def enter(self, place: mi.Point2f, found: mi.Float) -> None:
@@ -72,6 +80,20 @@ class PilotImage:
         lit = mean > 0.0
         ratio = np.maximum(squares[lit] / np.square(mean[lit]) - 1.0, 0.0)
         return float(np.sqrt(np.median(ratio))) if lit.any() else 0.0
+
+    def gain(self) -> float:
+        """Times that paths of the last step have less variance than those of the first; 1 where nothing is known.
+
+        Of relative variances, averaged over the film but for the worst pixels: a single event is not to decide.
+        """
+        image = np.asarray(self.image(), np.float64)
+        floor = np.square(image) + np.square(DARK * image.mean())
+        both = []
+        for sums, counts, squares in (self.first, self.newest[1]):
+            known, n = (counts > 1.0) & (floor > 0.0), np.maximum(counts, 2.0)
+            variance = np.sort(((squares - np.square(sums) / n) / ((n - 1.0) * np.maximum(floor, LEAST)))[known])
+            both.append(float(variance[: int((1.0 - WORST) * variance.size) + 1].mean()) if variance.size else 0.0)
+        return float(both[0] / both[1]) if min(both) > 0.0 else 1.0
 
     def won(self, errors: float) -> float:
         """Part of a path's variance that the last step had less than the one before; that many standard errors more.

@@ -86,6 +86,7 @@ class TableState:
             "counts": np.array([self.done, self.paths, self.particles], np.int64),
             "pilot": self.pilot.sums,
             "newest": self.pilot.newest,
+            "first": self.pilot.first,
             "lights": self.lights,
             "density": self.density,
             "colours": self.colours,
@@ -120,7 +121,7 @@ class TableState:
             done, paths, particles = (int(n) for n in arrays["counts"])
             pilot, newest, density, lights = (arrays[name] for name in ("pilot", "newest", "density", "lights"))
             colours, moments, chances = arrays["colours"], arrays["moments"], arrays["chances"]
-            flux, flux_paths = arrays["flux"], arrays["flux_paths"]
+            flux, flux_paths, early = arrays["flux"], arrays["flux_paths"], arrays["first"]
         except (KeyError, ValueError):
             raise ContextMismatch(UNFIT) from None
         saved = _part(arrays, "clustering")
@@ -137,14 +138,14 @@ class TableState:
         aimed, gaps = _part(arrays, "aims"), _part(arrays, "slits")
         aims = Aims.from_arrays(aimed, count) if aimed else None
         slits = Slits.from_arrays(gaps, count) if gaps else None
-        numbers = [pilot, newest, density, lights, colours, moments, chances, flux, flux_paths]
+        numbers = [pilot, newest, early, density, lights, colours, moments, chances, flux, flux_paths]
         numbers += [] if areas is None else [areas]
         if (
             not 0 <= done <= steps
             or (done > 0 and not known) != (clustering is not None)
             or (done >= first and not found)
             or (pilot.shape, density.shape) != (self.pilot.sums.shape, self.density.shape)
-            or newest.shape != self.pilot.newest.shape
+            or (newest.shape, early.shape) != (self.pilot.newest.shape, self.pilot.first.shape)
             or (bool(sources) or areas is not None) != (done > first)
             or (areas is not None and areas.shape != (count,))
             or (lights.size > 0 and (lights.ndim != 2 or len(lights) != count))
@@ -160,7 +161,7 @@ class TableState:
         ):
             raise ContextMismatch(UNFIT)
         self.done, self.paths, self.particles = done, paths, particles
-        self.pilot.sums, self.pilot.newest = pilot.copy(), newest.copy()
+        self.pilot.sums, self.pilot.newest, self.pilot.first = pilot.copy(), newest.copy(), early.copy()
         self.density, self.lights = density.copy(), lights.copy()
         self.colours, self.moments, self.chances = colours.copy(), moments.copy(), chances.copy()
         self.clustering, self.areas, self.sources, self.known = clustering, areas, sources, known

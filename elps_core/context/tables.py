@@ -43,6 +43,7 @@ from elps_core.context.shares import best_shares
 from elps_core.context.store import DirectionalParts
 from elps_core.context.surroundings import SHARE, sees_enough, with_pieces
 from elps_core.context.training import BY_ALBEDO, Step, Tables, Trainer
+from elps_core.context.walks import Thinned
 from elps_core.particles.records import IMPORTON, PHOTON, ParticleArrays
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.meeting import Meeting
@@ -54,8 +55,9 @@ CLUSTER_STEPS, CLUSTER_BATCH = 4, 3
 """Steps of a build for the clustering, and its own steps in each: 12 are enough for it."""
 REGIONS_PER_GROUP, REGIONS_PER_AIM = 16, 8
 """Regions that lend each other what they know, and that see mirrored lamps at the same points."""
-SLITS_AT = 3
-"""Step of filling whose photons tell of slits: of the door's room, 3 degrees ajar, it has 3300 that may."""
+SLITS_FROM, SLITS_AT = 2, 3
+"""First step of filling whose photons may tell of slits, and that after which they are looked for, or before if it is
+the last one: of the door's room, 3 degrees ajar, step 3 has 3300 photons that may."""
 WORTHWHILE, SURELY = 0.1, 1.0
 """Part of a path's variance that a step has to win, if it could be that many standard errors more, for the next to be
 taken: that one takes about a tenth of a render's time. In the maze, with a quarter of the paths, tables are as good."""
@@ -65,10 +67,12 @@ GATHERING = 1 << 15
 """Paths of each kind that are traced before there are regions."""
 KEPT_FOR_REGIONS = 0.5
 """Part of their vertices that is kept: eight times as many as regions are made from, of which these are drawn."""
-GATHERED = 4
+GATHERED = 2
 """Times that so many are traced, at most, where few of them meet a surface that scatters."""
 HASTY = 0.5
 """A step that would have less than this part of the paths of the one before is not worth its fixed costs."""
+SEARCH = 1.5
+"""Seconds that have to be left for slits to be looked for: it takes 0.3 to 2."""
 LINES = 1 << 19
 """Random lines by which areas are measured."""
 
@@ -81,6 +85,10 @@ class TableBuilder:
         self._paths = settings.paths or (USUAL_PATHS if settings.seconds is None else MOST_PATHS)
         self._trainer = Trainer(scene, camera, settings)
         self._rate: float | None = None
+        self._kept: tuple[Thinned, Thinned] | None = None
+        self._aimed: bool | None = None
+        self.seeks_slits = True
+        """Whether gaps that light comes through are looked for, in a second or two: of use where it is hard to find."""
         self._made = TableState(PilotImage(camera.size))
         self._parents: NDArray[np.uint32] | None = None
         self._rays: Meeting | None = None
@@ -148,9 +156,19 @@ class TableBuilder:
         return self._made.flux / np.maximum(self._made.flux_paths, 1.0)[:, None, None]
 
     @property
+    def gain(self) -> float:
+        """Times that a path of the last step had less variance than one before there were tables."""
+        return self._made.pilot.gain()
+
+    @property
     def flux_paths(self) -> int:
         """Eye paths that have told it."""
         return int(self._made.flux_paths.sum())
+
+    @property
+    def slits_found(self) -> bool:
+        """Whether there are gaps that light comes through."""
+        return self._made.slits is not None
 
     @property
     def caustics(self) -> bool:
@@ -306,7 +324,8 @@ class TableBuilder:
         aimed = list(caustics(self.scene, self.settings, lights, AIMED_FOR_REGIONS))
         undivided = RegionLookup(Regions.undivided(self.settings.regions))
         scratch = TableState(self._made.pilot)
-        if any(len(photons) for photons in aimed):  # The kernel of later steps, which know where to aim at
+        self._aimed = any(len(photons) for photons in aimed)
+        if self._aimed:  # The kernel of later steps, which know where to aim at
             scratch.aims = Aims.nowhere(undivided.count)
         for name in SOURCES:
             scratch.sources[name] = DirectionalAccumulator(undivided.count, self.settings.rows, self.settings.columns)
@@ -343,7 +362,9 @@ class TableBuilder:
         for name in names:
             made.sources.setdefault(name, DirectionalAccumulator(count, *grid))
         paths = self.filling[number]
-        if walks and not known and number == 0:
+        if self._rate is not None:  # As many as there is time for
+            paths = int(min(paths, max(FIRST_PATHS, self._rate * (until - time.perf_counter()))))
+        if walks and not known and number == 0 and self._aimed is not False:
             aims = Places(finder, made.areas, self._neighbours(REGIONS_PER_AIM), grid)
             found = mirrored(self.scene, aims, caustics(self.scene, self.settings, lights, AIMED_FOR_TABLES))
             if found:
@@ -361,7 +382,7 @@ class TableBuilder:
         if known:
             known = made.known = with_pieces(known, lights)
         # From the first step of each kernel on, so that there is one only.
-        now = number == SLITS_AT and not known
+        now = self.seeks_slits and SLITS_FROM <= number <= SLITS_AT and not known and made.slits is None
         photons = made.sources.get("photons")
         of_eye = thinned(made.sources["importance"].evidence, now=now)
         of_light = thinned(photons.evidence, now=now) if photons else None
@@ -376,12 +397,29 @@ class TableBuilder:
             traced = self._trainer.train(made, finder, areas, lights, tables, step)
         # Kernels that were compiled now will be there for the next step.
         self._rate = traced / max(time.perf_counter() - begin - kernels.compiling, 1e-3)
-        if now and photons and of_light:
-            cell = 4.0 * np.pi / (self.settings.rows * self.settings.columns)
-            lenders, flux = self._groups(), photons.moments()[1]
-            bright = np.bincount(lenders, flux)[lenders] / np.bincount(lenders, areas)[lenders]
-            made.slits = slits(self.scene, of_light, of_eye, finder, lenders, bright, cell, self.settings.seed)
+        if now and of_light:
+            self._kept = of_light, of_eye
+            if number == SLITS_AT and time.perf_counter() + SEARCH < step.until:
+                self.look_for_slits()
         return traced
+
+    def look_for_slits(self) -> None:
+        """Look for gaps by the particles that the last step has kept, unless that was done."""
+        made, photons = self._made, self._made.sources.get("photons")
+        if self._kept is None or photons is None or made.areas is None:
+            return
+        cell = 4.0 * np.pi / (self.settings.rows * self.settings.columns)
+        lenders, flux = self._groups(), photons.moments()[1]
+        bright = np.bincount(lenders, flux)[lenders] / np.bincount(lenders, made.areas)[lenders]
+        finder = RegionLookup(self.regions)
+        made.slits = slits(self.scene, *self._kept, finder, lenders, bright, cell, self.settings.seed)
+        self._kept = None
+        self._ready.clear()
+
+    @property
+    def yet_to_come(self) -> float:
+        """Seconds that it takes to look for gaps when the last step is taken."""
+        return SEARCH if self._kept and self.seeks_slits else 0.0
 
 
 def _normalised(sums: Doubles) -> Doubles:

@@ -36,8 +36,9 @@ TRAINING_SHARE = 0.6
 """Chance of a direction from the tables so far: less than in renders, since they are to change."""
 NOT_YET = 1e-6
 """The same of tables that know nothing yet."""
-RECORDS = 1 << 21
-"""Room for the records of one pass, 50 MB: longer paths have more, so that there are fewer of them."""
+RECORDS = 1 << 20
+"""Room for the records of one pass, 25 MB: longer paths have more, so that there are fewer of them. A pass takes a
+third of a second; time that runs out ends a step after one."""
 BY_ALBEDO = 2
 """Steps of filling with roulette by albedo: by what tables hold so far paths would end that have more to find."""
 LIGHT_PART = 4

@@ -70,13 +70,15 @@ class FrameRenderer:
                 self._render_pass(min(samples, total - first), before + first, key, scale, eye, light)
                 dr.eval(eye.tensor(), light.tensor())
             before += total
-        channels, splats = eye.tensor().array, light.tensor().array
+        channels = eye.tensor().array
         pixel = dr.arange(mi.UInt32, self.pixels * 3) // 3
         channel = dr.arange(mi.UInt32, self.pixels * 3) % 3
         weight = dr.gather(mi.Float, channels, dr.arange(mi.UInt32, self.pixels) * 4 + 3)
         seen = dr.gather(mi.Float, channels, pixel * 4 + channel)
-        lit = dr.gather(mi.Float, splats, pixel * 4 + channel) / (lit_spp * dr.gather(mi.Float, self.coverage(), pixel))
-        image = seen / dr.maximum(dr.gather(mi.Float, weight, pixel), dr.smallest(mi.Float)) + lit
+        image = seen / dr.maximum(dr.gather(mi.Float, weight, pixel), dr.smallest(mi.Float))
+        if self.bdpt.strategies.light_paths:
+            expected = lit_spp * dr.gather(mi.Float, self.coverage(), pixel)
+            image = image + dr.gather(mi.Float, light.tensor().array, pixel * 4 + channel) / expected
         shape = (int(self.size.y), int(self.size.x))
         return Frame(mi.TensorXf(image, (*shape, 3)), mi.TensorXf(weight, shape))
 
@@ -127,7 +129,9 @@ class FrameRenderer:
                 corner = mi.Point2f(mi.Float(index - row * int(self.size.x)), mi.Float(row))
                 for k in range(COVERAGE_SIDE**2):
                     inside = mi.Point2f(k % COVERAGE_SIDE + 0.5, k // COVERAGE_SIDE + 0.5) / COVERAGE_SIDE
-                    block.put(corner + inside, [mi.Float(1.0 / COVERAGE_SIDE**2)])
+                    # Opaque, and one by one, so that all share one small kernel.
+                    block.put(corner + dr.opaque(mi.Point2f, inside), [mi.Float(1.0 / COVERAGE_SIDE**2)])
+                    dr.eval(block.tensor())
                 self._coverage = mi.Float(block.tensor().array)
         return self._coverage
 

@@ -105,6 +105,7 @@ class Environment:
         t0, t1 = dr.gather(mi.Float, self._t, row), dr.gather(mi.Float, self._t, row + 1)
         phi0, phi1 = dr.gather(mi.Float, self._phi, column), dr.gather(mi.Float, self._phi, column + 1)
         total = dr.zeros(mi.Float, cells)
+        dr.make_opaque(total)  # The first point, too
         points = grid.samples**2
         for k in range(points):
             # Opaque, so that all points share one kernel.

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from elps_core.selection.candidates import PATH, Candidate, Trial, known_together
+from elps_core.selection.candidates import BDPT, GUIDED_PATH, PATH, Candidate, Trial, known_together
 from elps_core.settings import PREPARATION
 
 COSTS = {"none": 1.0, "unjoined": 1.1, "joined": 2.0}
@@ -22,16 +22,29 @@ LESS = {"lights": 1.25, "full": 1.25}
 """Times that a candidate may be better without what it takes from the tables, or with lamps alone."""
 MORE = {"unjoined": 1.2, "joined": 1.5}
 """Times that guiding may do more for a candidate with light paths than it has done for eye paths."""
-GROWTH = 2.0
-"""Times that tables may still become better once a quarter of the training is over: 1.1 on a staircase, 2.7 seen in a
-Cornell box, where they win anyway."""
+GROWTH = 1.5
+"""Times that tables may still become better once a quarter of the training is over: 1.1 on a staircase; 2.7 were seen
+in a Cornell box, where they win anyway."""
 FARTHEST = 3.0
 """Times that a candidate may be behind another one in the middle of training and yet ahead in the end."""
 UNKNOWN = 30.0
 """Relative variance above which nothing is decided in the middle of training: where light is so hard to find, tables
 do not know it yet."""
-COMPILING = {"none": 1.0, "unjoined": 2.0, "joined": 2.5}
+TRYING, FINISHING = 0.35, 0.5
+"""Seconds that a trial takes once its kernels are there, and that tables take to be made of what was found."""
+COMPILING = {"none": 1.0, "unjoined": 3.5, "joined": 2.5}
 """Time that kernels take to compile by the light paths that a candidate has, over those of eye paths alone."""
+UNSEEN = 0.4
+"""Seconds that a kernel of plain paths takes to compile where it is not known."""
+COMPILING_GUIDED = 2.0
+"""Times that they take longer where tables guide: 1.6 to 2.8 with points and gaps to aim at."""
+TRAINING = 0.85
+"""Part of the time for preparing after which tables are filled no further: the rest is for trials."""
+HASTE, FAR = 0.05, 60.0
+"""Part of the time left that a candidate may take to compile in the middle of training, and times that one which takes
+longer may be better than all others: joined paths where eye paths hardly find any light."""
+GUIDED_COSTS = 1.25
+"""Time of a guided eye path over that of a plain one, at least: 1.3 to 1.7 were seen."""
 SURE = 1.0
 """Standard errors by which an efficiency may be better or worse."""
 
@@ -46,6 +59,8 @@ class Allowance:
     """Seconds that will be rendered after that."""
     compiling: float = 0.0
     """Seconds that the kernel of plain paths took to compile: others take a multiple of it."""
+    haste: float = 1.0
+    """Part of the time left that a candidate may take to compile, unless it may be better by far than all others."""
 
     @classmethod
     def of(cls, begin: float, seconds: float | None, compiling: float = 0.0) -> Allowance:
@@ -54,10 +69,22 @@ class Allowance:
             return cls(compiling=compiling)
         return cls(begin + PREPARATION * seconds, (1.0 - PREPARATION) * seconds, compiling)
 
+    def hasty(self) -> Allowance:
+        """What may be spent in the middle of training: what takes long to compile is tried at the end, if at all."""
+        return replace(self, haste=HASTE)
+
     def left(self, part: float = 1.0) -> float:
         """Seconds until a ``part`` of the whole quarter has passed."""
         spare = (1.0 - part) * self.rendering * PREPARATION / (1.0 - PREPARATION) if part < 1.0 else 0.0
         return self.until - spare - time.perf_counter() if self.until < float("inf") else float("inf")
+
+    def left_for_training(self, after: float = 0.0) -> float:
+        """Seconds until tables are filled no further: guided paths are yet to be compiled and tried.
+
+        ``after``: seconds that something else takes between the two.
+        """
+        trials = COMPILING_GUIDED * self.compiling + FINISHING + 2.0 * TRYING
+        return min(self.left(TRAINING), self.left() - trials - after)
 
 
 ENDLESS = Allowance()
@@ -89,19 +116,35 @@ def promise(candidate: Candidate, trials: Iterable[Trial], *, caustics: bool = T
 
 
 def next_trial(
-    candidates: Iterable[Candidate], trials: Sequence[Trial], allowance: Allowance = ENDLESS, *, caustics: bool = True
+    candidates: Iterable[Candidate],
+    trials: Sequence[Trial],
+    allowance: Allowance = ENDLESS,
+    *,
+    compiled: Iterable[str] = (),
+    caustics: bool = True,
 ) -> Candidate | None:
-    """The candidate to try next; None where no other can be the best, or where there is no time."""
-    tried = {trial.name for trial in trials}
+    """The candidate to try next; None where no other can be the best, or where there is no time.
+
+    Kernels of ``compiled`` candidates are there already.
+    """
+    tried, there = {trial.name for trial in trials}, set(compiled)
     best = max((trial.bound(SURE) for trial in known_together(trials)), default=0.0)
     for candidate in candidates:
-        compiling = _compiling(candidate, trials, allowance)
-        if candidate.name in tried or compiling > allowance.left():
+        if candidate.name in tried:
             continue
-        left = 1.0 if compiling == 0.0 else max(0.0, 1.0 - compiling / allowance.rendering)
-        if left * promise(candidate, trials, caustics=caustics) > best:
+        compiling = 0.0 if candidate.name in there else _compiling(candidate, trials, allowance)
+        may = promise(candidate, trials, caustics=caustics)
+        part = 1.0 if may > FAR * best and candidate.guiding == "none" else allowance.haste
+        if compiling > part * (allowance.left() - TRYING):
+            continue
+        if (1.0 if compiling == 0.0 else max(0.0, 1.0 - compiling / allowance.rendering)) * may > best:
             return candidate
     return None
+
+
+def in_the_middle(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Candidates that tell whether tables should be filled further."""
+    return [each for each in candidates if each in (PATH, GUIDED_PATH, BDPT)]
 
 
 def contenders(candidates: Iterable[Candidate], middle: Sequence[Trial]) -> list[Candidate]:
@@ -116,19 +159,50 @@ def contenders(candidates: Iterable[Candidate], middle: Sequence[Trial]) -> list
     return [candidate for candidate in candidates if candidate.name not in hopeless]
 
 
-def training_pays(trials: Sequence[Trial]) -> bool:
-    """Whether tables should be filled further, by what trials in the middle of training said."""
+def brought_up(trials: Sequence[Trial], middle: Iterable[Trial]) -> tuple[Trial, ...]:
+    """The ``trials`` of the end, and those of the ``middle`` that needed no tables and were not repeated.
+
+    Means are relative to the image that training had found by then: those of another image are no light that was missed.
+    """
+    tried = {trial.name for trial in trials}
+    best = max(trials, key=lambda trial: trial.samples, default=None)
+    left = [each for each in middle if each.candidate.guiding == "none" and each.name not in tried]
+    if best is not None:
+        left = [replace(each, mean=best.mean, mean_error=best.mean_error, rival=0.0) for each in left]
+    return (*trials, *left)
+
+
+def hard_to_find(trials: Iterable[Trial]) -> bool:
+    """Whether plain paths hardly find the light, by their trial; so it is taken to be where there is none."""
+    plain = [trial.variance for trial in trials if trial.candidate == PATH]
+    return max(plain, default=UNKNOWN) >= UNKNOWN
+
+
+def training_pays(trials: Sequence[Trial], gain: float) -> bool:
+    """Whether tables should be filled further, by what trials in the middle of training said.
+
+    ``gain``: times that a path of the last step had less variance than one before there were tables, which speaks for
+    guided paths where none were tried.
+    """
     known = known_together(trials)
     best = max(known, key=lambda trial: trial.bound(SURE), default=None)
     if best is None or best.candidate.guiding != "none" or best.variance > UNKNOWN:
         return True
-    guided = [trial for trial in known if trial.candidate.guiding == "full"]
-    return any(GROWTH * trial.bound(-SURE) > best.bound(SURE) for trial in guided)
+    guided = [trial.bound(-SURE) for trial in known if trial.candidate.guiding == "full"]
+    guided = guided or [gain / GUIDED_COSTS * trial.bound(-SURE) for trial in known if trial.candidate == PATH]
+    return GROWTH * max(guided, default=0.0) > best.bound(SURE)
 
 
 def _compiling(candidate: Candidate, trials: Sequence[Trial], allowance: Allowance) -> float:
     """Seconds that a candidate's kernels may take to compile, by what others have taken; those of plain paths do."""
     if candidate == PATH:
         return 0.0
-    each = [trial.compiling / COMPILING[trial.candidate.light_paths] for trial in trials]
-    return COMPILING[candidate.light_paths] * max([*each, allowance.compiling])
+    each = [trial.compiling / _kernels(trial.candidate) for trial in trials]
+    # So many and so large kernels that they are not asked for on the chance that they are there.
+    least = UNSEEN if candidate.light_paths == "unjoined" else 0.0
+    return _kernels(candidate) * max([*each, allowance.compiling, least])
+
+
+def _kernels(candidate: Candidate) -> float:
+    """Time that a candidate's kernels take to compile, over that of plain eye paths."""
+    return COMPILING[candidate.light_paths] * (1.0 if candidate.guiding == "none" else COMPILING_GUIDED)

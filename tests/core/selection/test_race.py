@@ -24,10 +24,15 @@ from elps_core.selection.candidates import (
 from elps_core.selection.race import (
     BEST,
     COMPILING,
+    COMPILING_GUIDED,
+    ENDLESS,
+    FAR,
     FARTHEST,
     GROWTH,
+    GUIDED_COSTS,
     UNKNOWN,
     Allowance,
+    brought_up,
     contenders,
     next_trial,
     promise,
@@ -79,8 +84,8 @@ def test_what_guided_paths_have_bounds_those_with_lamps_alone() -> None:
 
 
 def test_what_takes_longer_to_compile_than_there_is_time_is_left_out() -> None:
-    trials = [trial(PATH, 50.0, compiling=1.0), trial(GUIDED_PATH, 40.0, compiling=1.2)]
-    needed = COMPILING["joined"] * 1.2
+    trials = [trial(PATH, 5.0, compiling=1.0), trial(GUIDED_PATH, 4.0, compiling=COMPILING_GUIDED)]
+    needed = COMPILING["joined"]
     assert next_trial(EVERY, trials, given(2.0 * needed, 60.0)) is BDPT
     assert next_trial([PATH, GUIDED_PATH, BDPT], trials, given(0.9 * needed, 60.0)) is None
     assert next_trial([PATH, GUIDED_PATH, BDPT], trials, given(2.0 * needed, needed)) is None
@@ -91,12 +96,29 @@ def test_what_takes_longer_to_compile_than_there_is_time_is_left_out() -> None:
     [(1.0, 0.5, True), (1.0, 1.2, True), (1.0, 1.1 * GROWTH, False), (2.0 * UNKNOWN, 9.0 * UNKNOWN, True)],
 )
 def test_training_ends_where_tables_will_not_pay(plain: float, guided: float, pays: bool) -> None:
-    assert training_pays([trial(PATH, plain), trial(GUIDED_PATH, guided)]) is pays
+    assert training_pays([trial(PATH, plain), trial(GUIDED_PATH, guided)], 0.1) is pays
 
 
-def test_training_ends_where_nobody_could_say_more_of_tables() -> None:
-    assert not training_pays([trial(PATH, 0.01)])
-    assert training_pays([])
+@pytest.mark.parametrize(("gain", "pays"), [(0.9 * GUIDED_COSTS / GROWTH, False), (1.1 * GUIDED_COSTS / GROWTH, True)])
+def test_paths_of_training_speak_for_guided_ones_that_were_not_tried(gain: float, pays: bool) -> None:
+    assert training_pays([trial(PATH, 1.0)], gain) is pays
+    assert training_pays([trial(PATH, 4.0), trial(BDPT, 0.5, 2.0)], 4.0 * gain) is pays
+    assert training_pays([trial(PATH, 2.0 * UNKNOWN)], gain)
+    assert training_pays([], gain)
+
+
+def test_in_the_middle_nothing_is_compiled_for_long() -> None:
+    known, allowance = [trial(PATH, 5.0, compiling=1.0)], given(5.0, 60.0)
+    assert next_trial([PATH, GUIDED_PATH], known, allowance) is GUIDED_PATH
+    assert next_trial([PATH, GUIDED_PATH], known, allowance.hasty()) is None
+    assert next_trial([PATH, GUIDED_PATH], known, allowance.hasty(), compiled=[GUIDED_PATH.name]) is GUIDED_PATH
+    assert next_trial([PATH, GUIDED_PATH], known, ENDLESS.hasty()) is GUIDED_PATH
+
+
+def test_where_eye_paths_hardly_find_light_joined_ones_are_tried_at_once() -> None:
+    dark = [trial(PATH, 5.0 * FAR * BEST, compiling=1.0)]
+    assert next_trial([PATH, BDPT], dark, given(5.0, 60.0).hasty()) is BDPT
+    assert next_trial([PATH, BDPT], dark, given(2.0, 60.0).hasty()) is None
 
 
 def test_hopeless_candidates_are_not_tried_again() -> None:
@@ -106,6 +128,16 @@ def test_hopeless_candidates_are_not_tried_again() -> None:
     assert {PATH, BDPT, GUIDED_BDPT} <= set(left)
     unknown = [trial(PATH, 1.0), trial(GUIDED_PATH, 2.0 * UNKNOWN)]
     assert GUIDED_PATH in contenders(EVERY, unknown)
+
+
+def test_what_was_not_tried_again_is_not_forgotten() -> None:
+    middle = [trial(PATH, 2.0, mean=3.0), trial(GUIDED_PATH, 9.0), trial(BDPT, 4.0)]
+    end = [trial(GUIDED_PATH, 1.0, mean=0.5, mean_error=0.25), trial(BDPT, 3.0, mean=0.5)]
+    every = brought_up(end, middle)
+    assert every[:2] == tuple(end)
+    assert [each.name for each in every[2:]] == [PATH.name]
+    assert (every[2].variance, every[2].mean, every[2].mean_error) == (2.0, 0.5, 0.25)
+    assert brought_up([], middle) == (middle[0], middle[2])
 
 
 @hypothesis.given(
@@ -121,5 +153,5 @@ def test_a_race_ends_and_asks_everybody_once(known: dict[str, tuple[float, float
         trials.append(replace(trial(candidate, variance, microseconds), error=error * variance))
     if left > 10.0:
         assert trials[0].candidate is PATH
-    assert training_pays(trials) in (True, False)
+    assert training_pays(trials, 1.0) in (True, False)
     assert set(contenders(EVERY, trials)) <= set(EVERY)

@@ -77,7 +77,7 @@ def test_training_ends_where_trials_say_that_tables_do_not_pay(
     from elps_core.context.build import COMPARED_AFTER, ContextBuilder
     from elps_core.context.plan import FIRST_PATHS
 
-    monkeypatch.setattr(build, "training_pays", lambda trials: pays)
+    monkeypatch.setattr(build, "training_pays", lambda trials, gain: pays)
     settings = SETTINGS.model_copy(update={"paths": 1 << 19})
     builder, most = ContextBuilder(box, settings), 0
     while builder.done < builder.steps:
@@ -104,7 +104,7 @@ def test_tables_that_are_filled_to_the_end_are_compared_at_the_end(
     from elps_core.context import build
     from elps_core.context.build import ContextBuilder
 
-    monkeypatch.setattr(build, "training_pays", lambda trials: False)
+    monkeypatch.setattr(build, "training_pays", lambda trials, gain: False)
     settings = SETTINGS.model_copy(update={"paths": 1 << 18, "thorough": True})
     builder = ContextBuilder(box, settings)
     while builder.done < builder.steps:
