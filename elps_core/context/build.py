@@ -37,6 +37,7 @@ from elps_core.selection.candidates import (
 from elps_core.selection.race import (
     ENDLESS,
     Allowance,
+    brought_up,
     contenders,
     hard_to_find,
     in_the_middle,

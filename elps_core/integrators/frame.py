@@ -128,7 +128,7 @@ class FrameRenderer:
                 row = index // int(self.size.x)
                 corner = mi.Point2f(mi.Float(index - row * int(self.size.x)), mi.Float(row))
                 for k in range(COVERAGE_SIDE**2):
-                    inside = mi.Point2f(k % COVERAGE_SIDE + 0.5, k // COVERAGE_SIDE + 0.5) / COVERAGE_SIDE
+                    inside = [(n + 0.5) / COVERAGE_SIDE for n in (k % COVERAGE_SIDE, k // COVERAGE_SIDE)]
                     # Opaque, and one by one, so that all share one small kernel.
                     block.put(corner + dr.opaque(mi.Point2f, inside), [mi.Float(1.0 / COVERAGE_SIDE**2)])
                     dr.eval(block.tensor())

@@ -162,7 +162,8 @@ def contenders(candidates: Iterable[Candidate], middle: Sequence[Trial]) -> list
 def brought_up(trials: Sequence[Trial], middle: Iterable[Trial]) -> tuple[Trial, ...]:
     """The ``trials`` of the end, and those of the ``middle`` that needed no tables and were not repeated.
 
-    Means are relative to the image that training had found by then: those of another image are no light that was missed.
+    Means are relative to the image that training had found by then: of another image they tell of no light that was
+    missed.
     """
     tried = {trial.name for trial in trials}
     best = max(trials, key=lambda trial: trial.samples, default=None)
