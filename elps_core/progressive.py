@@ -110,7 +110,7 @@ class ProgressiveRender:
             builder.step(allowance)
             takes = time.perf_counter() - begin
             self._preparing += takes
-            self._report("measuring the scene", builder.done / max(1, builder.steps))
+            self._report("measuring the scene", builder.progress)
         begin = time.perf_counter()
         context = builder.result()
         self._preparing += time.perf_counter() - begin

@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import log2
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from elps_core.scene.bundle import is_archive
 from elps_core.scene.digest import context_digest, render_digest
 from elps_core.scene.inspect import inspect_in_child
 from elps_core.scene.summary import SceneSummary
-from elps_core.settings import RenderSettings, StopCriterion, suited, with_overrides
+from elps_core.settings import LONGEST, RenderSettings, StopCriterion, suited, with_overrides
 from worker.errors import FarmUnavailable
 from worker.leases import Work
 from worker.models import FINAL_STATES, ContextRecord, Event, Job, SceneRecord, WorkerInfo
@@ -159,19 +160,32 @@ class Farm:
     def _sharing(self, scene: str, settings: RenderSettings, size: tuple[int, int]) -> RenderSettings:
         """The settings with the context of others that serves as well, where their own is not there.
 
-        Tables that are filled to the end serve all, and those that need not be may have been.
+        Tables that are filled to the end serve all, and those that need not be may have been; and what was made for
+        longer jobs serves shorter ones, and those without a limit of time whatever it was made for.
         """
         if not settings.needs_tables:
             return settings
-        others = with_overrides(settings, {"context.thorough": not settings.context.thorough})
-        own, other = (
-            self.context(context_digest(scene, settings.sensor, size, each.measured)) for each in (settings, others)
-        )
-        if other is None or (own and own.state == "ready"):
+
+        def found(changes: dict[str, Any]) -> tuple[RenderSettings, ContextRecord | None]:
+            other = with_overrides(settings, changes)
+            return other, self.context(context_digest(scene, settings.sensor, size, other.measured))
+
+        _, own = found({})
+        if own and own.state == "ready":
             return settings
-        filled = other.state == "ready" and bool(other.statistics.get("thorough"))
-        coming = own is None and others.context.thorough and other.state != "failed"
-        return others if filled or coming else settings
+        given, thorough = settings.context.seconds, settings.context.thorough
+        lengths = [None, *(2.0**k for k in range(int(log2(LONGEST)), -1, -1))]
+        for seconds in [given, *(each for each in lengths if each is None or given is None or each > given)]:
+            for filled in (thorough, not thorough):
+                other, record = found({"context.seconds": seconds, "context.thorough": filled})
+                if record is None:
+                    continue
+                tables = record.state == "ready" and "table_paths" in record.statistics
+                if tables and (filled == thorough or record.statistics.get("thorough")):
+                    return other
+                if own is None and seconds == given and filled and record.state != "failed":
+                    return other  # Being filled to the end
+        return settings
 
     @_answering()
     def job(self, id: str) -> Job | None:  # noqa: A002

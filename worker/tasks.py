@@ -143,7 +143,7 @@ class Child:
         else:
             store.put(checkpoint_key(digest, builder.done), builder.to_bytes())
         seconds = (record.seconds or 0.0) + time.monotonic() - begin
-        record = record.model_copy(update={"progress": builder.done / builder.steps, "seconds": seconds})
+        record = record.model_copy(update={"progress": builder.progress, "seconds": seconds})
         if finished:
             store.put(f"contexts/{name(digest)}.json", record.model_dump_json().encode())
             for key in store.keys(f"contexts/{name(digest)}"):

@@ -100,6 +100,11 @@ class ContextBuilder:
         tried = len(self._middle) + (len(self._trials) if self._compared and not self._stopped else 0)
         return measured + (self._tables.done if self._tables else 0) + tried
 
+    @property
+    def progress(self) -> float:
+        """Part of the steps that is taken, 0 to 1."""
+        return self.done / self.steps if self.steps else 1.0
+
     def _left(self) -> int:
         """Steps of the adjoint image and of the tables that are left."""
         measured = adjoint.STEPS - len(self._adjoint.batches) if self._adjoint else 0

@@ -17,7 +17,7 @@ COSTS = {"none": 1.0, "unjoined": 1.1, "joined": 2.0}
 """Least time of a sample by the light paths that it has, over that of an eye path alone: 2.5 to 4 were seen of joined
 ones in rooms, and 2 in Veach's scene."""
 BEST = 0.25
-"""Relative variance that no way is taken to go below: where eye paths are near it, nothing else pays."""
+"""Relative variance that no way with light paths is taken to go below: where eye paths are near it, none pays."""
 LESS = {"lights": 1.25, "full": 1.25}
 """Times that a candidate may be better without what it takes from the tables, or with lamps alone."""
 MORE = {"unjoined": 1.2, "joined": 1.5}
@@ -106,7 +106,9 @@ def promise(candidate: Candidate, trials: Iterable[Trial], *, caustics: bool = T
     same = [trial for trial in known.values() if trial.candidate.light_paths == candidate.light_paths]
     if candidate.light_paths == "unjoined" and not caustics:
         return 0.0
-    bounds = [1e6 / (BEST * fastest * COSTS[candidate.light_paths])]
+    bounds = [float("inf")]
+    if candidate.light_paths != "none":
+        bounds.append(1e6 / (BEST * fastest * COSTS[candidate.light_paths]))
     for trial in same:
         if trial.candidate.guiding != "none" and candidate.guiding in ("none", "lights"):
             bounds.append(LESS[trial.candidate.guiding] * trial.efficiency)

@@ -62,7 +62,7 @@ def scene(client: Client, room: Path) -> str:
 
 
 def settings(**fields: Any) -> RenderSettings:
-    return RenderSettings(light_sampling="adjoint", max_depth=4, context=CONTEXT, **fields)
+    return RenderSettings(integrator="bdpt", light_sampling="adjoint", max_depth=4, context=CONTEXT, **fields)
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ from worker.store import chunk_key, name
 Hire = Callable[[], subprocess.Popen[bytes]]
 
 SMALL_CONTEXT = ContextSettings(resolution=8, samples_per_cell=8, max_depth=4)
-GUIDED = RenderSettings(width=32, height=32, max_depth=4, context=SMALL_CONTEXT)
+GUIDED = RenderSettings(integrator="bdpt", width=32, height=32, max_depth=4, context=SMALL_CONTEXT)
 SAMPLES = 2048
 SHORT = StopCriterion(samples=SAMPLES)
 CHUNKS = chunk_count(TINY, SAMPLES)
@@ -184,7 +184,7 @@ def test_tables_filled_to_the_end_serve_all(farm: Farm, parts: Parts, scene: Sce
     farm.cancel(waiting.id)
     record = farm.context(first.context_digest or "")
     assert record is not None
-    built = record.model_copy(update={"state": "ready", "statistics": {"thorough": thorough}})
+    built = record.model_copy(update={"state": "ready", "statistics": {"thorough": thorough, "table_paths": 9}})
     parts.store.put(f"contexts/{name(built.digest)}.json", built.model_dump_json().encode())
     named = [
         farm.submit(scene.digest, path.model_copy(update={"seed": 1, "max_depth": depth}), SHORT) for depth in (3, 4)
@@ -194,13 +194,36 @@ def test_tables_filled_to_the_end_serve_all(farm: Farm, parts: Parts, scene: Sce
     assert {job.settings.context.thorough for job in named} == {not thorough}
 
 
+@pytest.mark.parametrize(
+    ("made_for", "asked", "shared"),
+    [(40.0, 12.0, True), (40.0, None, True), (12.0, 40.0, False), (40.0, 33.0, True)],
+)
+def test_what_was_made_for_longer_jobs_serves_shorter_ones(
+    farm: Farm, parts: Parts, scene: SceneRecord, made_for: float, asked: float | None, shared: bool
+) -> None:
+    auto = RenderSettings(width=32, height=32, max_depth=4, context=ContextSettings(max_depth=4, regions=16))
+    first = farm.submit(scene.digest, auto, StopCriterion(seconds=made_for))
+    record = farm.context(first.context_digest or "")
+    assert record is not None
+    for tables in ({}, {"table_paths": 9}):  # Without tables it serves nobody who might have some
+        built = record.model_copy(update={"state": "ready", "statistics": {"trials": [], **tables}})
+        path = f"contexts/{name(built.digest)}.json"
+        parts.store.delete(path)
+        parts.store.put(path, built.model_dump_json().encode())
+        seed = 5 + len(tables)
+        stop = StopCriterion(seconds=asked) if asked else StopCriterion(samples=4)
+        other = farm.submit(scene.digest, auto.model_copy(update={"seed": seed}), stop)
+        same = first.settings.context.seconds == other.settings.context.seconds
+        assert (other.context_digest == first.context_digest) is (same or (shared and bool(tables)))
+
+
 def test_tables_that_will_be_filled_serve_those_who_do_not_ask(farm: Farm, scene: SceneRecord) -> None:
     tables = SMALL_CONTEXT.model_copy(update={"regions": 16, "paths": 4096})
     path = RenderSettings(
         integrator="path", direction_sampling="context", width=32, height=32, max_depth=4, context=tables
     )
     first = farm.submit(scene.digest, path, SHORT)
-    auto = farm.submit(scene.digest, path.model_copy(update={"integrator": "auto"}), SHORT)
+    auto = farm.submit(scene.digest, RenderSettings(width=32, height=32, max_depth=4, context=tables), SHORT)
     assert auto.context_digest == first.context_digest
     assert auto.context_hit is False
     assert first.settings.context.thorough
