@@ -50,7 +50,7 @@ from elps_core.timing import KernelClock
 
 COMPARED_AFTER = 3
 """Steps of filling after which it is asked whether tables will pay: 2^15 + 2^16 + 2^17 paths."""
-TRAINING_KERNELS, PATHS = 6.0, 2.0
+TRAINING_KERNELS, PATHS = 6.0, 3.0
 """What it takes to have tables that help at all: time to compile the kernels of training, over that of plain paths, and
 seconds to trace paths."""
 COMPARED_BY = 0.5
