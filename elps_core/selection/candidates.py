@@ -53,8 +53,10 @@ class Candidate:
             **GUIDED[self.guiding],
             "context.adaptive": False,
         }
-        if self == PATH:  # The adjoint image helps eye paths little, and a kernel that asks for it is another one
-            changes["light_sampling"] = "power"
+        if self == PATH:
+            # The adjoint image helps eye paths little, and a kernel that asks for it is another one. As Mitsuba has it:
+            # by power a sky outside takes the samples of the lamps that light a room.
+            changes["light_sampling"] = "uniform"
         return with_overrides(whole, changes)
 
 
