@@ -117,7 +117,7 @@ class ContextSettings(_Model):
     encoding: TableEncoding = "log8"
     """How a file keeps the tables."""
     adaptive: bool = True
-    """Whether pilots are measured with the tables, so that renders use these only where they pay."""
+    """Whether trials are made with the tables, so that renders use these only where they pay."""
     thorough: bool = False
     """Whether tables are filled to the end where ``auto`` will not use them, too. Renders that use them whatever else
     is better, such as ``path`` with directions by context, ask for it by themselves."""
@@ -187,7 +187,7 @@ class PssmltSettings(_Model):
     over: Literal["bdpt", "unjoined", "path"] | None = None
     """Whose samples the states of chains are: an eye path, a pair of paths that bdpt would join, or one whose light
     path only brings to the sensor what it meets. A pair costs more, and finds what eye paths alone seldom meet. Absent:
-    of those that pilots found the most efficient where there are pilots, else of bdpt."""
+    of those that trials found the most efficient where there are trials, else of bdpt."""
     multiplexed: bool = False
     """Whether a state is a path by one strategy, which is faster, in place of all strategies of a pair of paths.
     On Veach's bidirectional scene 13 times as efficient as ``mi_path`` at equal time; without, 64 times."""
@@ -212,7 +212,7 @@ class RenderSettings(_Model):
     """``enlightened`` or ``thesis``: values for all that is not given."""
     integrator: Annotated[str, Field(json_schema_extra={"enum": list(INTEGRATORS)})] = "auto"
     """``path``, ``light``, ``bdpt`` or ``pssmlt``; ``auto`` for the best of path and bdpt, plain and enlightened, by
-    pilots; or ``mi_<name>`` for an integrator of Mitsuba's own."""
+    trials; or ``mi_<name>`` for an integrator of Mitsuba's own."""
     light_sampling: LightSampling = "adjoint"
     """Density of the first light vertex and of next event estimation. Three are one for the whole scene; ``context``
     has a table for each region besides the adjoint image, as paths have whose directions go by context, and pays where
@@ -314,7 +314,7 @@ class RenderSettings(_Model):
 
     @property
     def adaptive(self) -> bool:
-        """Whether pilots decide what renders: not where a part of the image was asked for."""
+        """Whether trials decide what renders: not where a part of the image was asked for."""
         part = self.integrator == "bdpt" and self.bdpt.strategies != "all"
         return self.guided and self.context.adaptive and not part
 

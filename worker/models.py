@@ -91,7 +91,7 @@ class Job(_Record):
     context_state: ContextState | None = None
     context_progress: float = 0.0
     choice: dict[str, Any] | None = None
-    """What pilots have shown to be the best, and their figures; absent until they ran, or where they do not decide."""
+    """What trials have shown to be the best, and their figures; absent until they ran, or where they do not decide."""
     seconds_context: float = 0.0
     seconds_rendering: float = 0.0
     """Sum over chunks of the time a worker spent on them."""

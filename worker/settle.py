@@ -32,8 +32,8 @@ _PROGRESS = ("samples_done", "chunks_done", "relative_error", "seconds_rendering
 
 def schedule(job: Job, choice: dict[str, Any] | None) -> ChunkSpp:
     """Samples per pixel of each chunk of a job, once it is known what renders."""
-    by_pilots = choice if job.settings.integrator == "auto" else None
-    settings = CANDIDATES[by_pilots["name"]].settings(job.settings) if by_pilots else job.settings
+    by_trials = choice if job.settings.integrator == "auto" else None
+    settings = CANDIDATES[by_trials["name"]].settings(job.settings) if by_trials else job.settings
     return lambda index: chunk_spp(index, settings, (job.width, job.height))
 
 
@@ -140,7 +140,7 @@ class Settler:
         return "ready"
 
     def _choice(self, job: Job) -> dict[str, Any] | None:
-        """What the pilots of a job's context say that should render."""
+        """What the trials of a job's context say that should render."""
         record = self._parts.state.context(job.context_digest or "")
         if record is None or not job.settings.adaptive:
             return None

@@ -54,7 +54,7 @@ TRAINING_KERNELS, PATHS = 6.0, 3.0
 """What it takes to have tables that help at all: time to compile the kernels of training, over that of plain paths, and
 seconds to trace paths."""
 COMPARED_BY = 0.5
-"""Part of it after which tables are compared with what needs none, however few paths have filled them."""
+"""Part of the time for preparing after which tables are compared with what needs none, however few paths there were."""
 
 
 class ContextBuilder:

@@ -22,7 +22,7 @@ def chunk_spp(index: int, settings: RenderSettings, size: tuple[int, int]) -> in
     n is 1, so that the first picture comes at once, except where each chunk has a start of its own
     to pay for. The sums of the first chunks are powers of two as well, so that a render of 64 samples
     ends at 64. ``size`` is (width, height) in pixels. The same on every machine, because chunks of
-    one render digest are interchangeable: ``settings`` are those that pilots have chosen.
+    one render digest are interchangeable: ``settings`` are those that trials have chosen.
     """
     pixels = size[0] * size[1]
     full = max(1, FULL_SAMPLES.get(settings.integrator, BASELINE_SAMPLES) // pixels).bit_length() - 1

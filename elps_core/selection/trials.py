@@ -42,7 +42,7 @@ BLURS = 8
 SMALLEST = 1e-18
 """What a pixel of a black image counts as: its inverse has a square that is a float."""
 STREAM = 0x9170
-"""Sets the random numbers of pilots apart from those of renders and tables with the same seed."""
+"""Sets the random numbers of trials apart from those of renders and tables with the same seed."""
 RIVALS = 1 << 17
 """Light paths that tell of the variance of eye paths."""
 RIVAL = 0xFFFF

@@ -40,7 +40,7 @@ CUTS = {
 }
 """Steps of the preparation after which the time is over."""
 DETECTABLE = 0.05
-"""Relative bias of the mean that the comparison finds at least; 0.03 with 64 runs."""
+"""Relative bias of the mean that the comparison finds at least."""
 
 
 @pytest.fixture(autouse=True)
