@@ -18,6 +18,7 @@ from elps_core.context.adjoint import AdjointMeasurement, best_estimate
 from elps_core.context.saved import UNFIT
 from elps_core.context.store import DirectionalParts, GlobalContext
 from elps_core.context.tables import TableBuilder
+from elps_core.context.training import CompilesTooLong
 from elps_core.errors import ContextMismatch
 from elps_core.sampling.start import StartDensity, power_table
 from elps_core.scene.digest import context_digest
@@ -53,6 +54,8 @@ COMPARED_AFTER = 3
 TRAINING_KERNELS, PATHS = 6.0, 3.0
 """What it takes to have tables that help at all: time to compile the kernels of training, over that of plain paths, and
 seconds to trace paths."""
+EYE_KERNEL = 2.0
+"""Time that the first of these kernels takes to compile, over that of plain paths: 1.8 to 2.3 were seen."""
 COMPARED_BY = 0.5
 """Part of the time for preparing after which tables are compared with what needs none, however few paths there were."""
 
@@ -158,12 +161,16 @@ class ContextBuilder:
                     self._stop(tables)
             else:
                 self._middle.append(self._runner(tables).run(candidate, self._middle))
-        elif filling and not tables.filled and self._may_do_without and left < self.first_needs(self._allowance):
+        elif filling and not tables.filled and self._may_do_without and not self._affordable(left):
             self._cut = True
         elif filling and tables.filled and not tables.worth_going_on(left):
             self._end(tables)
         elif filling:
-            tables.step(self._lights(), left)
+            try:
+                tables.step(self._lights(), left, self._patience)
+            except CompilesTooLong:
+                self._cut = True
+                return
             self._parts = None
             if tables.done == tables.steps:
                 self._end(tables)
@@ -174,6 +181,20 @@ class ContextBuilder:
     def _may_do_without(self) -> bool:
         """Whether a job can render without tables: not one that keeps to them whatever else is better."""
         return bool(self._candidates) and not self._settings.thorough
+
+    @property
+    def _patience(self) -> float:
+        """Seconds that the first of the kernels of training may take to compile: plain paths may have found theirs on
+        disk, so that it is the first to tell how long all of them take."""
+        most = self._allowance.compiling_at_most if self._may_do_without else float("inf")
+        return EYE_KERNEL / TRAINING_KERNELS * most
+
+    def _affordable(self, left: float) -> bool:
+        """Whether the first steps fit into the time ``left``, and what they cost can be borne if tables do not pay."""
+        allowance = self._allowance
+        if self.done == 0 and TRAINING_KERNELS * allowance.compiling > allowance.compiling_at_most:
+            return False
+        return left >= self.first_needs(allowance)
 
     def first_needs(self, allowance: Allowance) -> float:
         """Seconds that have to be left for the next step: the first one is of no use without tables after it."""

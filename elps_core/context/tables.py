@@ -175,14 +175,18 @@ class TableBuilder:
         """Whether mirrors or glass bring light to surfaces that scatter it."""
         return self._made.aims is not None
 
-    def step(self, lights: StartDensity, left: float = float("inf")) -> None:
-        """Take the next step, light paths starting by ``lights``; no more paths are begun ``left`` seconds later."""
+    def step(self, lights: StartDensity, left: float = float("inf"), patience: float = float("inf")) -> None:
+        """Take the next step, light paths starting by ``lights``; no more paths are begun ``left`` seconds later.
+
+        Raises:
+            CompilesTooLong: the first kernel took more than ``patience`` seconds to compile; nothing was found.
+        """
         until = time.perf_counter() + left
         self._rays = lights.emission.rays
         if self._made.known is not None:
             self._fill(lights, self._made.done, until)
         elif self._made.done == 0:
-            self._gather(lights)
+            self._gather(lights, patience)
         elif self._made.clustering and self._made.done <= CLUSTER_STEPS:
             for _ in range(CLUSTER_BATCH):
                 self._made.clustering.step()
@@ -310,16 +314,16 @@ class TableBuilder:
 
     # -- Regions ---------------------------------------------------------------------------------
 
-    def _gather(self, lights: StartDensity) -> None:
+    def _gather(self, lights: StartDensity, patience: float) -> None:
         settings, made = self.settings, self._made
         if settings.particles == "walks":
-            gathered = self._from_walks(lights)
+            gathered = self._from_walks(lights, patience)
         else:
             gathered = gather(self.scene, self.camera, settings, lights)
         made.particles, made.density = len(gathered.position), gathered.density
         made.clustering = Clustering(gathered.position, gathered.normal, settings.regions, settings.seed)
 
-    def _from_walks(self, lights: StartDensity) -> Gathered:
+    def _from_walks(self, lights: StartDensity, patience: float) -> Gathered:
         """Places that the first paths of training visit, before there are regions."""
         aimed = list(caustics(self.scene, self.settings, lights, AIMED_FOR_REGIONS))
         undivided = RegionLookup(Regions.undivided(self.settings.regions))
@@ -333,7 +337,7 @@ class TableBuilder:
         found: dict[int, list[ParticleArrays]] = {IMPORTON: [], PHOTON: []}
         for run in range(GATHERED):
             key = (self.settings.seed, STREAM, PARTICLES, run)
-            step = Step(-1, GATHERING, key, kept=kept)
+            step = Step(-1, GATHERING, key, kept=kept, patience=patience)
             self._trainer.train(scratch, undivided, np.ones(undivided.count), lights, Tables(), step)
             for (kind, parts), particles in zip(found.items(), kept, strict=True):
                 parts.append(particles.buffer.take().of(kind).arrays())

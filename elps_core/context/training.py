@@ -31,6 +31,7 @@ from elps_core.sampling.lights import pieces
 from elps_core.sampling.start import StartDensity
 from elps_core.scene.sensors import Camera
 from elps_core.settings import ContextSettings
+from elps_core.timing import KernelClock
 
 TRAINING_SHARE = 0.6
 """Chance of a direction from the tables so far: less than in renders, since they are to change."""
@@ -76,6 +77,12 @@ class Step:
     """Time of :func:`time.perf_counter` after which no more passes are begun."""
     kept: tuple[Thinned | None, Thinned | None] = (None, None)
     """Importons and photons that are kept one by one."""
+    patience: float = float("inf")
+    """Seconds that the first of the two kernels may take to compile."""
+
+
+class CompilesTooLong(Exception):
+    """The first kernel of training took longer to compile than the job can afford to lose."""
 
 
 class Trainer:
@@ -100,6 +107,9 @@ class Trainer:
         """Enter what the paths of ``step`` find into the sums of ``made``; how many eye paths were traced.
 
         Regions have ``areas`` [K]. At least two passes are traced, whatever the time.
+
+        Raises:
+            CompilesTooLong: so it was; what was found until then is lost.
         """
         settings, known = self.settings, tables.known
         grid, regions = (settings.rows, settings.columns), finder.count
@@ -133,20 +143,23 @@ class Trainer:
             if part >= LEAST_PASSES and time.perf_counter() > step.until:
                 break
             place = Stream.of(here, *step.key, part, 2).next_2d()
-            found = recorder.eye_paths(
-                place * mi.Point2f(self.camera.size),
-                Stream.of(lanes, *step.key, part, 0),
-                seen,
-                importance,
-                direct,
-                leaving,
-                trial,
-                importons_kept,
-                flux[part % 2],
-            )
-            traced += here
-            made.pilot.enter(place, found)
-            seen.close_batch()
+            with KernelClock() as kernels:
+                found = recorder.eye_paths(
+                    place * mi.Point2f(self.camera.size),
+                    Stream.of(lanes, *step.key, part, 0),
+                    seen,
+                    importance,
+                    direct,
+                    leaving,
+                    trial,
+                    importons_kept,
+                    flux[part % 2],
+                )
+                traced += here
+                made.pilot.enter(place, found)
+                seen.close_batch()
+            if kernels.compiling > step.patience:
+                raise CompilesTooLong
             if leaving:
                 leaving.close_batch(1.0)
             importance.close_batch(here * areas)

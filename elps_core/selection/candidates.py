@@ -55,8 +55,8 @@ class Candidate:
         }
         if self == PATH:
             # The adjoint image helps eye paths little, and a kernel that asks for it is another one. As Mitsuba has it:
-            # by power a sky outside takes the samples of the lamps that light a room, and roulette by albedo goes on with
-            # paths that bring nothing (a classroom: a third fewer samples, and by a twentieth less efficient).
+            # by power a sky outside takes the samples of the lamps that light a room; and roulette by albedo goes on
+            # with paths that bring nothing (a classroom: a third fewer samples, a twentieth less efficient).
             changes |= {"light_sampling": "uniform", "roulette": "throughput"}
         return with_overrides(whole, changes)
 

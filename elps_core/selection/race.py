@@ -22,9 +22,10 @@ LESS = {"lights": 1.25, "full": 1.25}
 """Times that a candidate may be better without what it takes from the tables, or with lamps alone."""
 MORE = {"unjoined": 1.2, "joined": 1.5}
 """Times that guiding may do more for a candidate with light paths than it has done for eye paths."""
-GROWTH = 1.5
-"""Times that tables may still become better once a quarter of the training is over: 1.1 on a staircase; 2.7 were seen
-in a Cornell box, where they win anyway."""
+GROWTH = 1.1
+"""Times by which guided paths may be behind when it is asked whether tables pay. They become 1.0 to 1.25 times better
+after that in rooms and in a classroom, and what is left of the training costs an eighth of the job; the 2.7 that were
+seen in a Cornell box come on top of a lead."""
 FARTHEST = 3.0
 """Times that a candidate may be behind another one in the middle of training and yet ahead in the end."""
 UNKNOWN = 30.0
@@ -40,6 +41,10 @@ COMPILING_GUIDED = 2.0
 """Times that they take longer where tables guide: 1.6 to 2.8 with points and gaps to aim at."""
 TRAINING = 0.85
 """Part of the time for preparing after which tables are filled no further: the rest is for trials."""
+BEGUN_BELOW = 0.125
+"""Part of a job's time that the kernels of training may take to compile for training to be begun. It may find that
+tables do not pay, and then that time is lost: plain paths win about a tenth over Mitsuba's, which is what can be lost
+without falling behind it."""
 HASTE, FAR = 0.05, 60.0
 """Part of the time left that a candidate may take to compile in the middle of training, and times that one which takes
 longer may be better than all others: joined paths where eye paths hardly find any light."""
@@ -68,6 +73,11 @@ class Allowance:
         if seconds is None:
             return cls(compiling=compiling)
         return cls(begin + PREPARATION * seconds, (1.0 - PREPARATION) * seconds, compiling)
+
+    @property
+    def compiling_at_most(self) -> float:
+        """Seconds that the kernels of training may take to compile for training to be begun."""
+        return BEGUN_BELOW * self.rendering / (1.0 - PREPARATION)
 
     def hasty(self) -> Allowance:
         """What may be spent in the middle of training: what takes long to compile is tried at the end, if at all."""
@@ -191,9 +201,9 @@ def training_pays(trials: Sequence[Trial], gain: float) -> bool:
     best = max(known, key=lambda trial: trial.bound(SURE), default=None)
     if best is None or best.candidate.guiding != "none" or best.variance > UNKNOWN:
         return True
-    guided = [trial.bound(-SURE) for trial in known if trial.candidate.guiding == "full"]
-    guided = guided or [gain / GUIDED_COSTS * trial.bound(-SURE) for trial in known if trial.candidate == PATH]
-    return GROWTH * max(guided, default=0.0) > best.bound(SURE)
+    guided = [trial.efficiency for trial in known if trial.candidate.guiding == "full"]
+    guided = guided or [gain / GUIDED_COSTS * trial.efficiency for trial in known if trial.candidate == PATH]
+    return GROWTH * max(guided, default=0.0) > best.efficiency
 
 
 def _compiling(candidate: Candidate, trials: Sequence[Trial], allowance: Allowance) -> float:
