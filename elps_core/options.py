@@ -28,6 +28,12 @@ Sensor = Annotated[int | None, typer.Option(help="Which camera, from 0.")]
 Seed = Annotated[int | None, typer.Option(help="Random stream.")]
 Variant = Annotated[str | None, typer.Option(help="Mitsuba variant.")]
 Assignments = Annotated[list[str] | None, typer.Option("--set", metavar="A.B=VALUE", help="Any setting by name.")]
+Defines = Annotated[
+    list[str] | None, typer.Option("-D", "--define", metavar="NAME=VALUE", help="A parameter that the scene declares.")
+]
+Root = Annotated[
+    Path | None, typer.Option(help="Folder whose files an .xml may name; its own folder if absent.", show_default=False)
+]
 
 
 def size_from(text: str) -> tuple[int, int]:
@@ -76,14 +82,26 @@ def _value(text: str) -> Any:
     return text
 
 
-def stop_from(spp: int | None, seconds: float | None, error: float | None) -> StopCriterion:
-    """When to stop, from ``--spp``, ``--seconds`` and ``--error``.
+def defines_from(assignments: list[str] | None) -> dict[str, str]:
+    """Parameters of a scene from ``-D NAME=VALUE``; the last of a name holds.
 
     Raises:
-        SettingsRejected: none is given, or one is out of range.
+        SettingsRejected: one has another form.
+    """
+    pairs = [assignment.partition("=") for assignment in assignments or []]
+    if not all(name and separator for name, separator, _ in pairs):
+        raise SettingsRejected("give -D as NAME=VALUE, for example spp=64")
+    return {name: value for name, _, value in pairs}
+
+
+def stop_from(spp: int | None, seconds: float | None, error: float | None) -> StopCriterion | None:
+    """When to stop, from ``--spp``, ``--seconds`` and ``--error``; None where none is given.
+
+    Raises:
+        SettingsRejected: one is out of range.
     """
     if spp is None and seconds is None and error is None:
-        raise SettingsRejected("say when to stop: --spp, --seconds or --error")
+        return None
     try:
         return StopCriterion(samples=spp, seconds=seconds, error=error)
     except ValidationError as problem:

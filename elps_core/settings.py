@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
@@ -349,6 +349,17 @@ class StopCriterion(_Model):
         return self
 
 
+def stop_or_default(stop: StopCriterion | None, samples: int | None) -> StopCriterion:
+    """The criterion that was given, else the ``samples`` per pixel that the scene file asks for.
+
+    Raises:
+        SettingsRejected: neither is there.
+    """
+    if stop is None and samples is None:
+        raise SettingsRejected("say when to stop: samples, seconds or error (--spp, --seconds or --error)")
+    return stop or StopCriterion(samples=samples)
+
+
 def suited(settings: RenderSettings, stop: StopCriterion) -> RenderSettings:
     """``settings`` with a context that suits the render: what they do not say of it follows from its time.
 
@@ -362,6 +373,21 @@ def suited(settings: RenderSettings, stop: StopCriterion) -> RenderSettings:
             changes["context.seconds"] = 2.0 ** math.floor(math.log2(min(max(seconds, 1.0), LONGEST)))
     if settings.keeps_to_tables:
         changes["context.thorough"] = True
+    return with_overrides(settings, changes) if changes else settings
+
+
+def with_file_defaults(settings: RenderSettings, defaults: Mapping[str, Any]) -> RenderSettings:
+    """``settings`` with what a scene file says of its render, where they do not say it themselves.
+
+    Args:
+        settings: those that were given.
+        defaults: names of settings and values; None where the file says nothing.
+
+    Raises:
+        SettingsRejected: what the file says contradicts what was given.
+    """
+    given = settings.model_fields_set
+    changes = {name: value for name, value in defaults.items() if value is not None and name not in given}
     return with_overrides(settings, changes) if changes else settings
 
 
@@ -379,16 +405,19 @@ def with_overrides(settings: RenderSettings, assignments: dict[str, Any]) -> Ren
     Raises:
         SettingsRejected: an unknown name, or a value that the models refuse.
     """
-    data = settings.model_dump()
+    data = settings.model_dump(exclude_unset=True)  # What was not given stays so: a scene file may say it
+    known = settings.model_dump()
     for dotted, value in assignments.items():
         *parents, leaf = dotted.split(".")
-        target: Any = data
+        there, target = known, data
         for name in parents:
-            target = target.get(name) if isinstance(target, dict) else None
-        if not isinstance(target, dict) or leaf not in target:
-            raise SettingsRejected(f"unknown setting '{dotted}'{_similar(dotted, _names(data))}")
-        if isinstance(target[leaf], dict):
-            raise SettingsRejected(f"'{dotted}' is a group of settings: name one of {', '.join(_names(data, dotted))}")
+            inner = there.get(name)
+            there = inner if isinstance(inner, dict) else {}
+            target = target.setdefault(name, {}) if there else {}
+        if leaf not in there:
+            raise SettingsRejected(f"unknown setting '{dotted}'{_similar(dotted, _names(known))}")
+        if isinstance(there[leaf], dict):
+            raise SettingsRejected(f"'{dotted}' is a group of settings: name one of {', '.join(_names(known, dotted))}")
         target[leaf] = value
     try:
         return RenderSettings.model_validate(data)

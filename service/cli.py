@@ -61,6 +61,8 @@ def submit(
     seed: options.Seed = None,
     variant: options.Variant = None,
     assignments: options.Assignments = None,
+    define: options.Defines = None,
+    root: options.Root = None,
     priority: Annotated[int, typer.Option(min=-9, max=9, help="Higher is sooner.")] = 0,
     url: Url = URL,
     wait: Annotated[bool, typer.Option("--watch", help="Show the progress until the end.")] = False,
@@ -83,10 +85,11 @@ def submit(
         "variant": variant,
     }
     settings = options.settings_from(given, size, assignments)
-    stop = options.stop_from(spp, seconds, error)
+    stop, defines = options.stop_from(spp, seconds, error), options.defines_from(define)
     with Client(url) as client, tempfile.TemporaryDirectory(prefix="elps-submit-") as folder:
-        record = client.upload(_bundle(scene, Path(folder)))
-        job = client.submit(record.digest, settings, stop, priority)
+        record = client.upload(_bundle(scene, Path(folder), root, defines))
+        packed = scene.suffix.lower() == ".xml"  # Its parameters are put in
+        job = client.submit(record.digest, settings, stop, priority, {} if packed else defines)
     _warn((*record.summary["warnings"], *job.warnings))
     if not as_json:
         typer.echo(job.id)
@@ -150,15 +153,20 @@ def _exit(job: Job) -> None:
         raise typer.Exit(1)
 
 
-def _bundle(scene: Path, folder: Path) -> Path:
-    """The file to upload: ``scene`` itself, or a zip of it below ``folder`` where it is a folder."""
-    if scene.is_file():
-        return scene
-    if not scene.is_dir():
-        raise SettingsRejected("no such scene: give an .xml, a .zip or a folder")
+def _bundle(scene: Path, folder: Path, root: Path | None, defines: dict[str, str]) -> Path:
+    """The file to upload: an archive as it is; an .xml with all that it names, or a folder, as a zip below ``folder``."""
     import zipfile
 
-    path = folder / f"{scene.resolve().name}.zip"
+    if not scene.exists():
+        raise SettingsRejected("no such scene: give an .xml, a .zip or a folder")
+    path = folder / f"{scene.resolve().stem}.zip"
+    if scene.suffix.lower() == ".xml" and scene.is_file():
+        from elps_core.scene.pack import pack
+
+        pack(scene, path, root=root, defines=defines)
+        return path
+    if scene.is_file():
+        return scene
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for file in sorted(scene.rglob("*")):
             if file.is_file() and not any(part.startswith(".") for part in file.relative_to(scene).parts):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -71,14 +71,23 @@ class Client:
             )
         return SceneRecord.model_validate_json(answer.content)
 
-    def submit(self, scene: str, settings: RenderSettings, stop: StopCriterion, priority: int = 0) -> Job:
-        """Creates a job for the scene with that digest."""
-        body = {
+    def submit(
+        self,
+        scene: str,
+        settings: RenderSettings,
+        stop: StopCriterion | None,
+        priority: int = 0,
+        defines: Mapping[str, str] | None = None,
+    ) -> Job:
+        """Creates a job for the scene with that digest; what is left open here, the scene file may say."""
+        body: dict[str, Any] = {
             "scene": scene,
-            "settings": settings.model_dump(mode="json", exclude_none=True),
-            "stop": stop.model_dump(mode="json", exclude_none=True),
+            "settings": settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
             "priority": priority,
+            "defines": dict(defines or {}),
         }
+        if stop is not None:
+            body["stop"] = stop.model_dump(mode="json", exclude_none=True)
         return Job.model_validate_json(self._send("POST", "/v1/jobs", json=body).content)
 
     def job(self, job_id: str) -> Job:

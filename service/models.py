@@ -9,6 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from elps_core.settings import RenderSettings, StopCriterion
 from worker.models import Job, WorkerInfo
 
+MAX_DEFINE = 1000
+"""Characters of the value of a scene's parameter."""
+ParameterName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{1,64}$")]
 EXAMPLE_DIGEST = "sha256:" + "0123456789abcdef" * 4
 
 
@@ -37,7 +40,11 @@ class JobRequest(BaseModel):
     scene: Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$")]
     """Digest of an uploaded scene."""
     settings: RenderSettings = RenderSettings()
-    stop: StopCriterion
+    """What they do not say, the scene file may say: depths, and whether emitters are hidden."""
+    stop: StopCriterion | None = None
+    """Absent: at the samples per pixel that the scene file asks for."""
+    defines: dict[ParameterName, Annotated[str, Field(max_length=MAX_DEFINE)]] = {}
+    """Values of the scene's parameters (its ``<default>`` elements). Where they matter, it is another scene."""
     priority: Annotated[int, Field(ge=-9, le=9)] = 0
     """Higher is sooner; 0 is the ordinary job."""
 

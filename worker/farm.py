@@ -6,7 +6,7 @@ import re
 import secrets
 import tempfile
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import log2
@@ -27,7 +27,15 @@ from elps_core.scene.bundle import is_archive
 from elps_core.scene.digest import context_digest, render_digest
 from elps_core.scene.inspect import inspect_in_child
 from elps_core.scene.summary import SceneSummary
-from elps_core.settings import LONGEST, RenderSettings, StopCriterion, suited, with_overrides
+from elps_core.settings import (
+    LONGEST,
+    RenderSettings,
+    StopCriterion,
+    stop_or_default,
+    suited,
+    with_file_defaults,
+    with_overrides,
+)
 from worker.errors import FarmUnavailable
 from worker.leases import Work
 from worker.models import FINAL_STATES, ContextRecord, Event, Job, SceneRecord, WorkerInfo
@@ -87,18 +95,22 @@ class Farm:
 
     # Scenes
 
-    def add_scene(self, upload: Path, name: str) -> tuple[SceneRecord, bool]:
+    def add_scene(self, upload: Path, name: str, defines: Mapping[str, str] | None = None) -> tuple[SceneRecord, bool]:
         """Check ``upload`` (a .zip or an .xml file) in a sandboxed child and store it; (record, created).
+
+        With other values of the scene's parameters (``defines``) it is another scene, where they matter.
 
         Raises:
             SceneRejected: what is wrong, in one line; nothing is left behind.
         """
-        report = inspect_in_child(upload)
+        report = inspect_in_child(upload, defines=defines)
         present = self.scene(report.digest)
         if present is not None:
             return present, False
         summary = report.summary.model_dump(mode="json")
-        record = SceneRecord(digest=report.digest, name=name, summary=summary, created=time.time())
+        record = SceneRecord(
+            digest=report.digest, name=name, summary=summary, created=time.time(), defines=dict(defines or {})
+        )
         stem = f"scenes/{key_name(report.digest)}"
         self._parts.store.put(stem + (".zip" if is_archive(upload) else ".xml"), upload.read_bytes())
         created = self._parts.store.put(f"{stem}.json", record.model_dump_json().encode())
@@ -109,21 +121,45 @@ class Farm:
         data = self._json("scenes", digest)
         return None if data is None else SceneRecord.model_validate_json(data)
 
+    def _defined(self, record: SceneRecord, defines: Mapping[str, str]) -> SceneRecord:
+        """A stored scene with other values of its parameters."""
+        with tempfile.TemporaryDirectory() as folder:
+            for suffix in (".zip", ".xml"):
+                upload = self._parts.store.fetch(f"scenes/{key_name(record.digest)}{suffix}", Path(folder))
+                if upload is not None:
+                    return self.add_scene(upload, record.name, {**record.defines, **defines})[0]
+        raise SceneRejected("the scene is no longer in the store: upload it again")
+
     # Jobs
 
     @_answering()
-    def submit(self, scene: str, settings: RenderSettings, stop: StopCriterion, *, priority: int = 0) -> Job:
+    def submit(
+        self,
+        scene: str,
+        settings: RenderSettings,
+        stop: StopCriterion | None,
+        *,
+        priority: int = 0,
+        defines: Mapping[str, str] | None = None,
+    ) -> Job:
         """Create a job in state queued. A job with neither samples nor seconds gets the farm's most seconds.
 
+        What neither ``settings`` nor ``stop`` say, the scene file may say (:class:`elps_core.scene.summary.FileDefaults`).
+
         Raises:
-            SceneRejected: no such scene.
-            SettingsRejected: sensor out of range, over the farm's limits, or no light can reach the image.
+            SceneRejected: no such scene, or ``defines`` names a parameter that it does not have.
+            SettingsRejected: sensor out of range, over the farm's limits, no light can reach the image, or nothing says
+                when to stop.
         """
         record = self.scene(scene)
         if record is None:
             raise SceneRejected("no such scene: upload it first")
+        if defines:
+            record = self._defined(record, defines)
+            scene = record.digest
         summary = SceneSummary.model_validate(record.summary)
-        settings = suited(settings, stop)
+        stop = stop_or_default(stop, summary.defaults.samples)
+        settings = suited(with_file_defaults(settings, summary.defaults.settings()), stop)
         size = self._checked_size(summary, settings)
         reach.check(summary, settings)
         settings = self._sharing(scene, settings, size)

@@ -31,6 +31,8 @@ class SceneRecord(_Record):
     """Sensors with film sizes, emitters, BSDF classes, triangle count, warnings."""
     created: float
     """Unix time of the first upload, seconds."""
+    defines: dict[str, str] = {}
+    """Values of the scene's parameters that it was checked with."""
 
 
 class ContextRecord(_Record):

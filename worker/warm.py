@@ -16,7 +16,7 @@ from elps_core.context.store import GlobalContext, load
 from elps_core.errors import ContextMismatch, RenderFailed
 from elps_core.estimate.film import Accumulation, Chunk
 from elps_core.estimate.schedule import MEANTIME
-from worker.models import Job
+from worker.models import Job, SceneRecord
 from worker.store import Store, name
 
 if TYPE_CHECKING:
@@ -164,13 +164,21 @@ class Warm:
         from elps_core.scene.loader import load_scene
 
         own = job.settings.width is None
+        record = self._store.get(f"scenes/{name(job.scene)}.json")
+        defines = SceneRecord.model_validate_json(record).defines if record else {}
         with tempfile.TemporaryDirectory() as folder:
             for suffix in (".zip", ".xml"):
                 upload = self._store.fetch(f"scenes/{name(job.scene)}{suffix}", Path(folder))
                 if upload is not None:
-                    xml = unpack(upload, Path(folder) / "bundle")
-                    sensor = job.settings.sensor
-                    return load_scene(xml, job.settings.variant, sensor=sensor, size=None if own else size)
+                    bundle = Path(folder) / "bundle"
+                    unpack(upload, bundle)
+                    return load_scene(
+                        bundle,
+                        job.settings.variant,
+                        sensor=job.settings.sensor,
+                        size=None if own else size,
+                        defines=defines,
+                    )
         raise RenderFailed("the scene is no longer in the store: upload it again")
 
     def _context(self, digest: str | None) -> GlobalContext | None:

@@ -46,6 +46,8 @@ def build(
     sensor: options.Sensor = None,
     variant: options.Variant = None,
     assignments: options.Assignments = None,
+    define: options.Defines = None,
+    root: options.Root = None,
 ) -> None:
     """Measure a scene and save what was learnt."""
     given = {
@@ -58,6 +60,7 @@ def build(
         "context.resolution": resolution,
     }
     settings: RenderSettings = options.settings_from(given, size, assignments)
+    defines = options.defines_from(define)
     _check_folder(output)
     if output.is_dir():
         raise SettingsRejected("the output is a folder: give a file")
@@ -75,7 +78,7 @@ def build(
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         film = (settings.width, settings.height) if settings.width and settings.height else None
         other = store.load(like) if like else None
-        loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=film)
+        loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=film, root=root, defines=defines)
         context = build_with_progress(loaded, wanted, progress, other)
     try:
         store.save(context, output)

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from elps_core import options
 from elps_core.errors import SettingsRejected
-from elps_core.settings import RenderSettings, suited
+from elps_core.settings import RenderSettings, stop_or_default, suited, with_file_defaults
 
 if TYPE_CHECKING:
     from elps_core.context.store import GlobalContext
@@ -37,6 +37,8 @@ def render(
     seed: options.Seed = None,
     variant: options.Variant = None,
     assignments: options.Assignments = None,
+    define: options.Defines = None,
+    root: options.Root = None,
     context: Annotated[
         Path | None, typer.Option(help="Context file: used if it exists, else built and saved there.")
     ] = None,
@@ -56,8 +58,8 @@ def render(
         "seed": seed,
         "variant": variant,
     }
-    stop = options.stop_from(spp, seconds, error)
-    settings = suited(options.settings_from(given, size, assignments), stop)
+    asked, defines = options.stop_from(spp, seconds, error), options.defines_from(define)
+    settings = options.settings_from(given, size, assignments)
     if not output.parent.is_dir():
         raise SettingsRejected("the folder of the output does not exist: create it first")
 
@@ -76,7 +78,12 @@ def render(
     with KernelClock() as kernels, _progress(console) as progress:
         task = progress.add_task("loading", total=None)
         wanted = (settings.width, settings.height) if settings.width and settings.height else None
-        loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=wanted)
+        loaded = load_scene(
+            scene, settings.variant, sensor=settings.sensor, size=wanted, root=root, defines=defines
+        )  # fmt: skip
+        defaults = loaded.summary.defaults
+        stop = stop_or_default(asked, defaults.samples)
+        settings = suited(with_file_defaults(settings, defaults.settings()), stop)
         loading = time.perf_counter() - begin
         reach.check(loaded.summary, settings)
         unreachable = reach.unreachable(loaded.summary, settings)

@@ -1,17 +1,26 @@
-"""``elps scene``: write one of the parametric scenes. Each generator is a command, its parameters the options."""
+"""``elps scene``: look at a scene, or write one of the parametric ones.
+
+Each generator is a command, its parameters the options.
+"""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from elps_core import options
 from elps_core.scene.generate import GENERATORS, SceneDescription, write
+from elps_core.settings import RenderSettings
 
-app = typer.Typer(help="Write a parametric scene as a bundle.", no_args_is_help=True)
+if TYPE_CHECKING:
+    from elps_core.scene.summary import SceneSummary
+
+app = typer.Typer(help="Look at a scene, or write a parametric one as a bundle.", no_args_is_help=True)
 
 Output = Annotated[Path, typer.Option("-o", "--output", help="Bundle to write: a .zip, else a folder.")]
 
@@ -34,6 +43,54 @@ def _command(generator: Callable[..., SceneDescription]) -> Callable[..., None]:
     )
     command.__doc__ = (inspect.getdoc(generator) or "").split("\n\n")[0]
     return command
+
+
+@app.command()
+def info(
+    scene: options.Scene,
+    define: options.Defines = None,
+    root: options.Root = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the facts as JSON.")] = False,
+) -> None:
+    """Show what a scene holds, what its file says of its render, and what will be otherwise than it says."""
+    from elps_core.scene.inspect import VARIANT
+    from elps_core.scene.loader import load_scene
+
+    loaded = load_scene(scene, VARIANT, root=root, defines=options.defines_from(define))
+    if as_json:
+        typer.echo(json.dumps({"digest": loaded.digest, "summary": loaded.summary.model_dump(mode="json")}))
+        return
+    for name, text in _facts(loaded.summary):
+        typer.echo(f"{name:<12}{text}")
+    typer.echo(f"{'digest':<12}{loaded.digest}")
+    for warning in loaded.summary.warnings:
+        typer.echo(f"warning: {warning}")
+
+
+def _facts(summary: SceneSummary) -> Iterator[tuple[str, str]]:
+    """What there is to say of a scene, line by line: a name and a text."""
+    for number, sensor in enumerate(summary.sensors):
+        yield f"sensor {number}", f"{sensor.type}, {sensor.width}x{sensor.height} pixels"
+    yield "emitters", ", ".join(f"{each.count} {each.type}" for each in summary.emitters) or "none"
+    yield "materials", ", ".join(summary.bsdfs) or "none"
+    yield "shapes", f"{summary.shapes} with {summary.triangles} triangles"
+    for name, value in summary.parameters.items():
+        yield "parameter", f"{name} = {value}"
+    given, usual = summary.defaults.settings(), RenderSettings()
+    if summary.defaults.integrator:
+        yield (
+            "integrator",
+            f"{summary.defaults.integrator}: advice only, the job's own renders ('auto' if none is named)",
+        )
+    for name in ("max_depth", "rr_depth"):
+        value = given.get(name)
+        yield name, f"{value}, as the file says" if value else f"{getattr(usual, name)}, because the file says none"
+    if given.get("hide_emitters"):
+        yield "emitters", "hidden from the camera, as the file says"
+    if summary.defaults.samples:
+        yield "samples", f"{summary.defaults.samples} a pixel, unless the job says when to stop"
+    if summary.ignored:
+        yield "left out", ", ".join(summary.ignored)
 
 
 for _name, _generator in GENERATORS.items():

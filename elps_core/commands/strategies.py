@@ -49,6 +49,8 @@ def strategies(
     seed: options.Seed = None,
     variant: options.Variant = None,
     assignments: options.Assignments = None,
+    define: options.Defines = None,
+    root: options.Root = None,
 ) -> None:
     """Picture every strategy of bidirectional path tracing: rows by path length, labelled s, t.
 
@@ -63,6 +65,7 @@ def strategies(
         "variant": variant,
     }
     settings = options.settings_from(given, size, assignments)
+    defines = options.defines_from(define)
     options.stop_from(spp, None, None)
     _check(settings, output, exr)
 
@@ -76,7 +79,7 @@ def strategies(
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        loaded = _load(scene, settings)
+        loaded = _load(scene, settings, root, defines)
         images = _images(loaded, settings, not unweighted, spp, progress)
     rows = rows_of(images)
     title = f"{'Unweighted' if unweighted else 'Weighted'} strategies of bidirectional path tracing"
@@ -128,16 +131,19 @@ def _name(pair: Pair) -> str:
     return f"s{pair[0]}t{pair[1]}"
 
 
-def _load(scene: Path, settings: RenderSettings) -> LoadedScene:
+def _load(scene: Path, settings: RenderSettings, root: Path | None, defines: dict[str, str]) -> LoadedScene:
     """The scene at the size asked for, or small."""
     from elps_core.scene.loader import load_scene
 
+    def load(size: tuple[int, int] | None) -> LoadedScene:
+        return load_scene(scene, settings.variant, sensor=settings.sensor, size=size, root=root, defines=defines)
+
     size = (settings.width, settings.height) if settings.width and settings.height else None
-    loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=size)
+    loaded = load(size)
     longer = max(loaded.size)
     if size is None and longer > SIDE:
         width, height = (max(1, round(side * SIDE / longer)) for side in loaded.size)
-        loaded = load_scene(scene, settings.variant, sensor=settings.sensor, size=(width, height))
+        loaded = load((width, height))
     return loaded
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import re
 import shutil
 import stat
 import struct
@@ -19,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path, PurePosixPath
-from typing import IO, BinaryIO
+from typing import IO, BinaryIO, NamedTuple
 
 from elps_core.errors import SceneRejected
 from elps_core.scene.text import is_plain, shown
@@ -30,13 +31,17 @@ READ_BY_MITSUBA = frozenset(
     {"xml", "obj", "ply", "serialized", "png", "jpg", "jpeg", "exr", "hdr", "rgbe", "pfm", "ppm", "bmp", "tga"}
     | {"spd", "vol"}
 )
-INERT = frozenset({"txt", "md", "mtl"})
-"""Extensions of files that travel with scenes (licences, notes, materials of OBJ exporters) and are never read."""
-CODE = frozenset({"so", "dll", "dylib", "py", "pyc", "pyd"})
+TEXT = frozenset({"txt"})
+"""Extension of curves' control points, and of many notes: unpacked, read where a scene names it."""
+CODE = frozenset({"so", "dll", "dylib", "py", "pyc", "pyd", "exe", "com", "bat", "cmd", "ps1", "sh"})
 """Refused with their own message: a scene that brings code is hostile or misunderstood."""
+ARCHIVES = frozenset({"zip", "tar", "tgz", "gz", "bz2", "xz", "7z", "rar"})
+"""Refused: what is in them would be missing."""
 JUNK_FOLDER = "__MACOSX"
 JUNK_FILES = frozenset({".DS_Store", "Thumbs.db"})
-"""Left by file managers in nearly every hand-made archive; skipped, not unpacked."""
+"""Left by file managers in nearly every hand-made archive; skipped without a word."""
+MOST_IGNORED = 20
+"""Files that are named to the user as left out; more of them say nothing new."""
 
 ROOT_XML = "scene.xml"
 COPY_BYTES = MIB
@@ -45,6 +50,8 @@ RATIO_FLOOR = 8 * MIB
 _LOCAL_HEADER = struct.Struct("<4s22xHH")
 """Signature, then the lengths of name and extra field of a zip entry's local header (APPNOTE 4.3.7)."""
 _CENTRAL_SIGNATURE = b"PK\x01\x02"
+_INCLUDED = re.compile(rb"<include\s[^>]*?filename\s*=\s*[\"']([^\"'<>]{1,240})[\"']")
+_CAMERA = re.compile(rb"<(?:sensor|camera)\s")
 
 
 @dataclass(frozen=True)
@@ -67,8 +74,17 @@ class BundleLimits:
 DEFAULT_LIMITS = BundleLimits()
 
 
-def unpack(upload: Path, into: Path, limits: BundleLimits = DEFAULT_LIMITS) -> Path:
-    """Check an upload, copy it into the folder ``into``, and return the path of its scene file there.
+class Unpacked(NamedTuple):
+    """An upload in a folder."""
+
+    xml: Path
+    """Its scene file."""
+    ignored: tuple[str, ...]
+    """Names of files that no scene has a use for: they were left out."""
+
+
+def unpack(upload: Path, into: Path, limits: BundleLimits = DEFAULT_LIMITS) -> Unpacked:
+    """Check an upload, and copy what a scene may use of it into the folder ``into``.
 
     ``into`` is created where it is missing and must be empty. On rejection nothing is left in it.
 
@@ -78,15 +94,16 @@ def unpack(upload: Path, into: Path, limits: BundleLimits = DEFAULT_LIMITS) -> P
     """
     upload = upload.resolve()  # the upload itself may be a link; nothing in it may
     into.mkdir(parents=True, exist_ok=True)
+    names = _Names(limits)
     try:
         if upload.is_dir():
-            _copy_folder(upload, into, limits)
+            _copy_folder(upload, into, names)
         elif is_archive(upload):
             with _archive_errors():
-                _unpack_archive(upload, into, limits)
+                _unpack_archive(upload, into, names)
         else:
             _copy_xml(upload, into, limits)
-        return root_xml(into)
+        return Unpacked(root_xml(into), tuple(names.ignored[:MOST_IGNORED]))
     except BaseException:
         for left in into.iterdir():
             if left.is_dir() and not left.is_symlink():
@@ -107,27 +124,50 @@ def is_archive(upload: Path) -> bool:
 
 
 def root_xml(folder: Path) -> Path:
-    """The scene file of an unpacked bundle: ``scene.xml``, else the only XML file at the top level.
+    """The scene file of an unpacked bundle: at its top, else one folder down.
 
-    One wrapping folder around everything is stepped into.
+    It is the one called ``scene.xml``, else the only one that no other includes, else the only one of these with a
+    camera.
 
     Raises:
-        SceneRejected: none, or several of which none is called ``scene.xml``.
+        SceneRejected: none, or several and no way to tell.
     """
-    for top in (folder, *_wrapping_folder(folder)):
-        found = sorted(p for p in top.iterdir() if p.suffix.lower() == ".xml" and p.is_file())
+    for level in ("*", "*/*"):
+        found = sorted(p for p in folder.glob(level) if p.suffix.lower() == ".xml" and _is_plain_file(p, folder))
         named = [p for p in found if p.name == ROOT_XML]
-        if named or len(found) == 1:
+        if len(found) == 1 or len(named) == 1:
             return (named or found)[0]
         if found:
-            raise SceneRejected(f"the bundle has {len(found)} XML files: call the scene's own '{ROOT_XML}'")
-    raise SceneRejected(f"the bundle has no XML file at its top level: add the scene as '{ROOT_XML}'")
+            return _scene_among(named or found)
+    raise SceneRejected(f"the bundle has no XML file at its top, or one folder down: add the scene as '{ROOT_XML}'")
 
 
-def _wrapping_folder(folder: Path) -> list[Path]:
-    """The only folder at the top level, if there is exactly one."""
-    folders = [p for p in folder.iterdir() if p.is_dir() and not p.is_symlink() and not p.name.startswith(".")]
-    return folders if len(folders) == 1 else []
+def _is_plain_file(path: Path, folder: Path) -> bool:
+    """Whether it is an ordinary file below ordinary folders that are not hidden."""
+    parents = [*path.relative_to(folder).parents][:-1]
+    return path.is_file() and not any(
+        (folder / parent).is_symlink() or parent.name.startswith(".") or parent.name == JUNK_FOLDER
+        for parent in parents
+    )
+
+
+def _scene_among(found: list[Path]) -> Path:
+    """The XML file that no other of them includes; the only one with a camera, where there are several."""
+    texts = {}
+    for path in found:
+        with open_regular(path) as file:
+            texts[path] = file.read(DEFAULT_LIMITS.xml_bytes)
+    included = {
+        PurePosixPath(name.decode("utf-8", "replace").replace("\\", "/")).name
+        for text in texts.values()
+        for name in _INCLUDED.findall(text)
+    }
+    alone = [path for path in found if path.name not in included]
+    seen = [path for path in alone if _CAMERA.search(texts[path])]
+    for fitting in (alone, seen):
+        if len(fitting) == 1:
+            return fitting[0]
+    raise SceneRejected(f"the bundle has {len(found)} XML files: call the scene's own '{ROOT_XML}'")
 
 
 @contextmanager
@@ -147,16 +187,19 @@ class _Names:
         self.limits = limits
         self.files: set[str] = set()
         self.folders: set[str] = set()
+        self.ignored: list[str] = []
+        """Names of files that no scene has a use for."""
 
     def check(self, name: str) -> PurePosixPath | None:
-        """The checked relative path of a file, or None where it is junk to skip."""
+        """The checked relative path of a file, or None where it is to be skipped."""
         label = f"'{shown(name)}'"
+        name = name.replace("\\", "/")  # as some programs pack folders
         if len(name.encode("utf-8", "replace")) > self.limits.name_bytes:
             raise SceneRejected(f"the name {label} is too long: shorten it")
         if not is_plain(name):
             raise SceneRejected(f"the name {label} has control or invisible characters: rename it")
-        if "\\" in name or "$" in name or ":" in name:
-            raise SceneRejected(f"the name {label} has a '\\', '$' or ':': rename it")
+        if "$" in name or ":" in name:
+            raise SceneRejected(f"the name {label} has a '$' or ':': rename it")
         parts = name.split("/")
         if name.startswith(("/", "~")) or any(part in ("", ".", "..") for part in parts):
             raise SceneRejected(f"the name {label} leads out of the bundle: use plain relative names")
@@ -170,12 +213,15 @@ class _Names:
         # Every dot counts: "evil.so.1" and "evil.py.txt" are refused as well.
         if CODE.intersection(keys[-1].split(".")[1:]):
             raise SceneRejected(f"{label}: a scene may not bring program code")
+        extension = PurePosixPath(keys[-1]).suffix.removeprefix(".")
+        if extension in ARCHIVES:
+            raise SceneRejected(f"{label}: an archive in a bundle is not unpacked: put its files into the bundle")
         if parts[0] == JUNK_FOLDER or parts[-1] in JUNK_FILES:
             return None
-        extension = PurePosixPath(keys[-1]).suffix.removeprefix(".")
-        if extension not in READ_BY_MITSUBA | INERT:
-            raise SceneRejected(f"{label}: files of this kind are not allowed in a bundle: leave it out")
         self._check_collisions(keys, label)
+        if extension not in READ_BY_MITSUBA | TEXT:
+            self.ignored.append(shown(name))
+            return None
         return PurePosixPath(*parts)
 
     def _check_collisions(self, keys: list[str], label: str) -> None:
@@ -215,12 +261,13 @@ class _Counter:
                 out.write(block)
 
 
-def _unpack_archive(upload: Path, into: Path, limits: BundleLimits) -> None:
+def _unpack_archive(upload: Path, into: Path, names: _Names) -> None:
     with open_regular(upload) as file:
-        _unpack_open_archive(file, into, limits)
+        _unpack_open_archive(file, into, names)
 
 
-def _unpack_open_archive(file: BinaryIO, into: Path, limits: BundleLimits) -> None:
+def _unpack_open_archive(file: BinaryIO, into: Path, names: _Names) -> None:
+    limits = names.limits
     size = os.fstat(file.fileno()).st_size
     if size > limits.upload_bytes:
         raise SceneRejected(f"the archive is larger than {limits.upload_bytes // MIB} MiB: make its files smaller")
@@ -230,7 +277,7 @@ def _unpack_open_archive(file: BinaryIO, into: Path, limits: BundleLimits) -> No
         if len(infos) > limits.entries:
             raise SceneRejected(f"the archive has more than {limits.entries} entries: merge or leave out files")
         _check_overlap(file, infos, archive.start_dir)
-        names, counter = _Names(limits), _Counter(limits, size)
+        counter = _Counter(limits, size)
         for info in infos:
             _check_entry(info)
             if _is_folder(info):
@@ -273,7 +320,7 @@ def _check_overlap(file: BinaryIO, infos: list[zipfile.ZipInfo], directory_at: i
 
 
 def _is_folder(info: zipfile.ZipInfo) -> bool:
-    return info.orig_filename.endswith("/")
+    return info.orig_filename.endswith(("/", "\\"))
 
 
 def _check_entry(info: zipfile.ZipInfo) -> None:
@@ -293,11 +340,12 @@ def _check_entry(info: zipfile.ZipInfo) -> None:
 
 def _check_folder_name(name: str, names: _Names) -> None:
     """A folder obeys the rules of the files in it; it is made when a file needs it."""
-    _Names(names.limits).check(name.rstrip("/") + "/folder.txt")
+    _Names(names.limits).check(name.rstrip("/\\") + "/folder.txt")
 
 
-def _copy_folder(upload: Path, into: Path, limits: BundleLimits) -> None:
-    names, counter, entries = _Names(limits), _Counter(limits, None), 0
+def _copy_folder(upload: Path, into: Path, names: _Names) -> None:
+    limits = names.limits
+    counter, entries = _Counter(limits, None), 0
     for folder, subfolders, files in os.walk(upload, followlinks=False):
         for name in [*subfolders, *files]:
             path = Path(folder, name)

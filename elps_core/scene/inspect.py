@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,8 @@ from elps_core.scene.summary import SceneSummary
 VARIANT = "scalar_rgb"
 """The variant that runs on every machine: a front end needs neither LLVM nor a GPU to check a scene."""
 MAX_ERROR_CHARACTERS = 400
+_DEFINE = "-D"
+"""Begins an argument of the child that sets a parameter of the scene."""
 
 DEFAULT_LIMITS = ChildLimits()
 _DEATHS = {
@@ -48,8 +51,12 @@ class _Refusal(BaseModel):
     error: Annotated[str, Field(max_length=MAX_ERROR_CHARACTERS)]
 
 
-def inspect(upload: Path) -> SceneReport:
+def inspect(upload: Path, defines: Mapping[str, str] | None = None) -> SceneReport:
     """Unpack, check and load an upload in this process; leaves nothing behind.
+
+    Args:
+        upload: a zip archive, XML file or folder.
+        defines: values of the scene's parameters.
 
     Raises:
         SceneRejected: what is wrong with it, in one line.
@@ -57,11 +64,15 @@ def inspect(upload: Path) -> SceneReport:
     from elps_core.scene.loader import load_scene  # here: the parent process never needs it
 
     with tempfile.TemporaryDirectory(prefix="elps-scene-") as folder:
-        loaded = load_scene(unpack(upload, Path(folder)), VARIANT)
-        return SceneReport(digest=loaded.digest, summary=loaded.summary)
+        unpacked = unpack(upload, Path(folder))
+        loaded = load_scene(Path(folder), VARIANT, defines=defines)
+        summary = loaded.summary.model_copy(update={"ignored": unpacked.ignored})
+        return SceneReport(digest=loaded.digest, summary=summary)
 
 
-def inspect_in_child(upload: Path, limits: ChildLimits = DEFAULT_LIMITS) -> SceneReport:
+def inspect_in_child(
+    upload: Path, limits: ChildLimits = DEFAULT_LIMITS, defines: Mapping[str, str] | None = None
+) -> SceneReport:
     """Check an upload in a child process that can harm nothing here (:mod:`elps_core.scene.sandbox`).
 
     Takes about a second for a scene of a few MB.
@@ -69,13 +80,15 @@ def inspect_in_child(upload: Path, limits: ChildLimits = DEFAULT_LIMITS) -> Scen
     Args:
         upload: a zip archive, XML file or folder.
         limits: of the child.
+        defines: values of the scene's parameters.
 
     Raises:
         SceneRejected: what is wrong with it, in one line; also where the child crashed or ran out of
             time or memory.
     """
     try:
-        answer = sandbox.run("elps_core.scene.inspect", upload, limits)
+        extra = [f"{_DEFINE}{name}={value}" for name, value in sorted((defines or {}).items())]
+        answer = sandbox.run("elps_core.scene.inspect", upload, limits, extra)
     except ChildDiedError as death:
         raise SceneRejected(_DEATHS[death.reason]) from None
     try:
@@ -90,16 +103,19 @@ def inspect_in_child(upload: Path, limits: ChildLimits = DEFAULT_LIMITS) -> Scen
 
 
 def main(arguments: list[str]) -> int:
-    """Entry of the child: the upload, then limits as ``name=value``."""
+    """Entry of the child: the upload, then limits as ``name=value`` and parameters of the scene as ``-Dname=value``."""
     if not arguments:
         print("usage: python -m elps_core.scene.inspect UPLOAD", file=sys.stderr)  # noqa: T201
         return 2
     upload, *settings = arguments
-    given = {name: float(value) for name, _, value in (text.partition("=") for text in settings)}
+    limits = [text for text in settings if not text.startswith(_DEFINE)]
+    pairs = (text.removeprefix(_DEFINE).partition("=") for text in settings if text.startswith(_DEFINE))
+    defines = {name: value for name, _, value in pairs}
+    given = {name: float(value) for name, _, value in (text.partition("=") for text in limits)}
     defaults = vars(DEFAULT_LIMITS)
     sandbox.restrict(ChildLimits(**{name: type(old)(given.get(name, old)) for name, old in defaults.items()}))
     try:
-        line = inspect(Path(upload)).model_dump_json()
+        line = inspect(Path(upload), defines).model_dump_json()
     except (SceneRejected, DeviceUnavailable) as error:
         line = json.dumps({"error": str(error)[:MAX_ERROR_CHARACTERS]})
     except MemoryError:

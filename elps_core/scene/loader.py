@@ -10,21 +10,23 @@ from __future__ import annotations
 import re
 import tempfile
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import ExitStack
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from elps_core import device
 from elps_core.errors import SceneRejected
-from elps_core.scene import headers, markup, measure, meshes, plugins, rules
+from elps_core.scene import advice, headers, markup, measure, meshes, plugins, reading, rules
 from elps_core.scene.bundle import is_archive, open_regular, root_xml, unpack
 from elps_core.scene.digest import file_hash, scene_digest, surroundings_digest
+from elps_core.scene.files import Files
 from elps_core.scene.markup import Node
-from elps_core.scene.summary import EmitterSummary, SceneSummary, SensorSummary
-from elps_core.scene.text import is_plain, shown
+from elps_core.scene.summary import EmitterSummary, FileDefaults, SceneSummary, SensorSummary
+from elps_core.scene.text import shown
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -65,6 +67,13 @@ class CanonicalScene:
     """Cameras in the order of the scene file."""
     files: frozenset[str]
     """The absolute file names in ``text``."""
+    parameters: Mapping[str, str]
+    """The parameters that can be set, with their values."""
+    defaults: FileDefaults
+    """What the file says of its render."""
+    integrators: tuple[Node, ...]
+    """Those of the scene file, which say it."""
+    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -96,7 +105,15 @@ class LoadedScene:
         return Emission(self.scene)
 
 
-def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, int] | None = None) -> LoadedScene:
+def load_scene(
+    source: Path,
+    variant: str,
+    *,
+    sensor: int = 0,
+    size: tuple[int, int] | None = None,
+    root: Path | None = None,
+    defines: Mapping[str, str] | None = None,
+) -> LoadedScene:
     """Load an .xml file, a .zip bundle or a folder; none of its content is run, whatever it is.
 
     Args:
@@ -104,6 +121,8 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
         variant: Mitsuba variant; it stays set.
         sensor: which camera, in the order of the scene file.
         size: (width, height) in pixels in place of the film's own, whose crop window is dropped.
+        root: a folder above an .xml file, whose files it may use as well.
+        defines: values of the scene's parameters in place of those of its ``<default>`` elements.
 
     Raises:
         SceneRejected: damaged, hostile, too large or unsupported; one line without host paths.
@@ -113,49 +132,65 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
         raise SceneRejected(f"there is no scene '{shown(source.name)}'")
     source = source.resolve()
     mi_ = device.use(variant)
+    ignored: tuple[str, ...] = ()
     with ExitStack() as until_loaded:
         if source.is_dir():
             xml = root_xml(source)
+            files = Files(xml.parent, source)
         elif is_archive(source):
-            folder = until_loaded.enter_context(tempfile.TemporaryDirectory(prefix="elps-scene-"))
-            xml = unpack(source, Path(folder))
+            folder = Path(until_loaded.enter_context(tempfile.TemporaryDirectory(prefix="elps-scene-")))
+            xml, ignored = unpack(source, folder)
+            files = Files(xml.parent, folder)
         else:
             xml = source
-        canonical = canonicalize(xml, sensor=sensor, size=size)
+            files = Files(xml.parent, root, local=True)
+        canonical = canonicalize(xml, files, sensor=sensor, size=size, defines=defines)
         scene, triangles = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
-        summary = _summarize(scene, canonical, triangles)
+        summary = _summarize(scene, canonical, triangles).model_copy(update={"ignored": ignored})
     chosen = scene.sensors()[sensor]
     shown_size = summary.sensors[sensor]
     film = (shown_size.width, shown_size.height)
     return LoadedScene(scene, chosen, canonical.digest, summary, variant, film, sensor, canonical.surroundings)
 
 
-def canonicalize(xml: Path, *, sensor: int = 0, size: tuple[int, int] | None = None) -> CanonicalScene:
+def canonicalize(
+    xml: Path,
+    files: Files | None = None,
+    *,
+    sensor: int = 0,
+    size: tuple[int, int] | None = None,
+    defines: Mapping[str, str] | None = None,
+) -> CanonicalScene:
     """Read and check a scene file and the files that it names. Runs no Mitsuba.
 
     Args:
-        xml: the scene file; its folder is the bundle, which no file name may leave.
+        xml: the scene file.
+        files: the files that it may name; absent: those of its folder.
         sensor: the camera whose film ``size`` applies to.
         size: (width, height) in pixels.
+        defines: as in :func:`load_scene`.
 
     Raises:
         SceneRejected: as :func:`load_scene`.
     """
-    root = markup.read(xml)
-    rules.check(root)
-    root.children = [child for child in root.children if child.tag != "integrator"]
-    objects = root.objects()
-    bundle = xml.parent.resolve()
+    files = files or Files(xml.parent)
+    document = reading.read(xml, files, defines)
+    scene = document.root
+    integrators = [child for child in scene.children if child.tag == "integrator"]
+    scene.children = [child for child in scene.children if child.tag != "integrator"]
+    rules.check(scene)
+    objects = scene.objects()
+    defaults, warnings = advice.take(integrators, [node for node in objects if node.tag == "sampler"])
     absolute: dict[int, str] = {}
     hashed: dict[int, str] = {}
     checked: dict[tuple[str, str], tuple[int, str]] = {}
     memory = 0
     for owner in objects:
-        for node, kind in _file_names(owner):
-            path = _resolve(node, owner, bundle)
+        for node, kind in file_names(owner):
+            path = files.find(node.attributes.get("filename") or node.attributes.get("value", ""), str(owner))
             if (kind, str(path)) not in checked:
-                checked[kind, str(path)] = _check_file(kind, path, owner, bundle)
+                checked[kind, str(path)] = _check_file(kind, path, owner, files)
             needed, content = checked[kind, str(path)]
             memory += needed
             if memory > MAX_SCENE_BYTES:
@@ -163,17 +198,28 @@ def canonicalize(xml: Path, *, sensor: int = 0, size: tuple[int, int] | None = N
             # A dollar sign in the path of the bundle is no parameter.
             absolute[id(node)] = str(path).replace("$", "\\$")
             hashed[id(node)] = f"sha256:{content}{path.suffix.lower()}"
-    digest = scene_digest(markup.write(root, hashed)[0])
-    surroundings = surroundings_digest(markup.write(_without_sensors(root), hashed)[0])
+    digest = scene_digest(markup.write(scene, hashed)[0])
+    surroundings = surroundings_digest(markup.write(_without_sensors(scene), hashed)[0])
     sensors = _sensors(objects)
     if sensor not in range(len(sensors)):
         raise SceneRejected(f"the scene has {len(sensors)} sensors, counted from 0: there is no sensor {sensor}")
     if size is not None:
         rules.check_film_size(*size)
         _resize(sensors[sensor], objects, size)
-    text, nodes = markup.write(root, absolute)
-    files = frozenset(path for _, path in checked)
-    return CanonicalScene(text, tuple(nodes), digest, surroundings, root, tuple(sensors), files)
+    text, nodes = markup.write(scene, absolute)
+    return CanonicalScene(
+        text,
+        tuple(nodes),
+        digest,
+        surroundings,
+        scene,
+        tuple(sensors),
+        frozenset(path for _, path in checked),
+        document.parameters,
+        defaults,
+        tuple(integrators),
+        (*document.warnings, *files.warnings, *warnings),
+    )
 
 
 def _without_sensors(root: Node) -> Node:
@@ -182,7 +228,7 @@ def _without_sensors(root: Node) -> Node:
     return bare
 
 
-def _file_names(owner: Node) -> list[tuple[Node, str]]:
+def file_names(owner: Node) -> list[tuple[Node, str]]:
     """The elements below an object that name a file, and how each file is checked."""
     found = []
     for child in owner.children:
@@ -198,34 +244,13 @@ def _file_names(owner: Node) -> list[tuple[Node, str]]:
     return found
 
 
-def _resolve(node: Node, owner: Node, bundle: Path) -> Path:
-    """The absolute path of a file inside the bundle.
-
-    The same rules hold for a scene that lies in an ordinary folder: it may not look outside either.
-    """
-    name = node.attributes.get("filename") or node.attributes.get("value", "")
-    label = f"{owner}: the file '{shown(name)}'"
-    plain = PurePosixPath(name)
-    if not name or not is_plain(name) or "\\" in name or "$" in name:
-        raise SceneRejected(f"{label} has a name that is not allowed: use plain relative names")
-    if plain.is_absolute() or ".." in plain.parts or name.startswith("~"):
-        raise SceneRejected(f"{label} lies outside the bundle: put it in and name it relative to the scene file")
-    try:
-        path = (bundle / plain).resolve(strict=True)
-    except (OSError, RuntimeError, ValueError):  # missing, a name too long, links in a circle
-        raise SceneRejected(f"{label} is not in the bundle") from None
-    if not path.is_relative_to(bundle):
-        raise SceneRejected(f"{label} lies outside the bundle: put it in and name it relative to the scene file")
-    return path
-
-
-def _check_file(kind: str, path: Path, owner: Node, bundle: Path) -> tuple[int, str]:
+def _check_file(kind: str, path: Path, owner: Node, files: Files) -> tuple[int, str]:
     """Memory that the file takes in bytes, and its content's hash."""
     with open_regular(path) as file:
         try:
             needed = headers.check(kind, file, str(path))
         except meshes.BadFileError as error:
-            raise SceneRejected(f"{owner}: '{shown(path.relative_to(bundle).as_posix())}' {error}") from None
+            raise SceneRejected(f"{owner}: '{files.name_of(path)}' {error}") from None
         file.seek(0)
         return needed, file_hash(file)
 
@@ -354,7 +379,9 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene, triangles: int) -> Sc
         bsdfs=tuple(sorted(_materials(objects))),
         shapes=sum(node.tag == "shape" for node in objects),
         triangles=triangles,
-        warnings=_warnings({node.tag for node in objects}),
+        warnings=(*canonical.warnings, *_warnings({node.tag for node in objects})),
+        defaults=canonical.defaults,
+        parameters=dict(canonical.parameters),
     )
 
 

@@ -29,7 +29,7 @@ INTEGRATORS = frozenset(
     | {"prbvolpath", "ptracer", "stokes", "volpath", "volpathmis", "volprim_rf_basic"}
     | {f"elps_{name}" for name in BUILT_INTEGRATORS}
 )
-"""May be named, and are left out of what is instantiated: the settings of a render decide."""
+"""Those whose parameters mean what ours do; none is instantiated, because the settings of a render decide."""
 
 PLUGINS: dict[str, frozenset[str]] = {
     "bsdf": frozenset(
@@ -153,10 +153,3 @@ ATTRIBUTES: dict[str, frozenset[str]] = {
     "scene": frozenset({"version"}),
 }
 """Element -> the attributes that it may have. An element that is not here is refused by name."""
-
-REFUSED: dict[str, str] = {
-    "include": "put the included file's content into the scene file",
-    "path": "put the files into the bundle and name them relative to the scene file",
-    "alias": "use the object's own id",
-}
-"""Elements of Mitsuba's format that are refused, with what to do instead."""

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,8 +47,8 @@ class ChildLimits:
     open_files: int = 512
 
 
-def run(module: str, readable: Path, limits: ChildLimits) -> bytes:
-    """Standard output of ``python -m module READABLE LIMITS...`` in a child, at most a mebibyte.
+def run(module: str, readable: Path, limits: ChildLimits, extra: Sequence[str] = ()) -> bytes:
+    """Standard output of ``python -m module READABLE LIMITS... EXTRA...`` in a child, at most a mebibyte.
 
     The child's working directory is new, empty and gone afterwards, as are its temporary files. It sets
     the limits of its own resources first (:func:`restrict`); time is watched from here as well.
@@ -56,6 +57,7 @@ def run(module: str, readable: Path, limits: ChildLimits) -> bytes:
         module: a module of this package.
         readable: the file or folder that the child is given.
         limits: what it may use.
+        extra: further arguments.
 
     Raises:
         ChildDiedError: it took too long, was killed, crashed, or failed.
@@ -63,7 +65,7 @@ def run(module: str, readable: Path, limits: ChildLimits) -> bytes:
     with tempfile.TemporaryDirectory(prefix="elps-child-") as folder, tempfile.TemporaryFile() as output:
         # -P and the package on the path: nothing of the working directory is ever imported.
         command = [sys.executable, "-P", "-m", module, str(readable.resolve())]
-        command += [f"{name}={value}" for name, value in sorted(vars(limits).items())]
+        command += [*(f"{name}={value}" for name, value in sorted(vars(limits).items())), *extra]
         child = subprocess.Popen(  # noqa: S603  # no shell, and nothing of the upload but its path
             [*_isolation(folder, readable.resolve()), *command],
             cwd=folder,

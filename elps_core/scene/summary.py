@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict
 
 
@@ -24,6 +26,23 @@ class EmitterSummary(_Model):
     count: int
 
 
+class FileDefaults(_Model):
+    """What the scene file says of its render; settings of a job overrule it."""
+
+    integrator: str | None = None
+    """Its integrator, where it is a known one: it decides nothing but the values below."""
+    max_depth: int | None = None
+    """Longest path in segments; -1 is unlimited."""
+    rr_depth: int | None = None
+    hide_emitters: bool | None = None
+    samples: int | None = None
+    """Samples per pixel, for a job that does not say when to stop."""
+
+    def settings(self) -> dict[str, Any]:
+        """The settings of a render that it has values for, by name."""
+        return self.model_dump(exclude={"integrator", "samples"}, exclude_none=True)
+
+
 class SceneSummary(_Model):
     """Counts and classes of a scene that was loaded."""
 
@@ -36,3 +55,8 @@ class SceneSummary(_Model):
     """Shapes that the scene file names; Mitsuba may merge some."""
     triangles: int
     warnings: tuple[str, ...] = ()
+    defaults: FileDefaults = FileDefaults()
+    parameters: dict[str, str] = {}
+    """Those that can be set (``-D``), with the values that hold."""
+    ignored: tuple[str, ...] = ()
+    """Files of the bundle that no scene has a use for; they were left out."""

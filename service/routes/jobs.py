@@ -45,7 +45,7 @@ router = APIRouter(tags=["jobs"])
 )
 def create_job(body: JobRequest, response: Response, farm: FarmOf) -> Job:
     """Queues a render; its state, events and images are found under the returned location."""
-    job = farm.submit(body.scene, body.settings, body.stop, priority=body.priority)
+    job = farm.submit(body.scene, body.settings, body.stop, priority=body.priority, defines=body.defines)
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     response.headers["ETag"] = etag(job.revision)
     return job

@@ -196,3 +196,38 @@ def test_service(client: httpx.Client) -> None:
     links = client.get("/").json()
     for path in links.values():
         assert client.get(path).status_code in (200, 405)
+
+
+def test_what_the_job_leaves_open_the_scene_file_says(client: httpx.Client) -> None:
+    """Depth and samples come from the file, parameters from the job; what the job says itself wins."""
+    said = (
+        '<default name="k" value="5"/><integrator type="path"><integer name="max_depth" value="$k"/></integrator>'
+        '<default name="r" value="0.5"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
+    )
+    sampler = '<sampler type="independent"><integer name="sample_count" value="24"/></sampler>'
+    xml = with_shape(said).replace(b"</sensor>", sampler.encode() + b"</sensor>", 1)
+    record = client.post("/v1/scenes", content=xml, headers={"Content-Type": "application/xml"}).json()
+    assert record["summary"]["parameters"] == {"k": "5", "r": "0.5"}
+    body = {"scene": record["digest"], "settings": SETTINGS}
+
+    def posted(**more: Any) -> httpx.Response:
+        answer = client.post("/v1/jobs", json={**body, **more})
+        if answer.is_success:
+            client.post(f"/v1/jobs/{answer.json()['id']}:cancel")
+        return answer
+
+    job = posted().json()
+    assert (job["settings"]["max_depth"], job["stop"]["samples"]) == (5, 24)
+    job = posted(settings={**SETTINGS, "max_depth": 3}, stop={"samples": 2}).json()
+    assert (job["settings"]["max_depth"], job["stop"]["samples"]) == (3, 2)
+    deeper = posted(defines={"k": "7"}).json()
+    assert (deeper["settings"]["max_depth"], deeper["scene"]) == (7, record["digest"])
+    assert posted(defines={"r": "0.25"}).json()["scene"] != record["digest"]
+    assert "'radius'" in assert_problem(posted(defines={"radius": "1"}), 422, "scene-rejected")
+    assert_problem(posted(defines={"r": "nan"}), 422, "scene-rejected")
+    assert_problem(posted(defines={"../r": "1"}), 422, "invalid-input")
+
+
+def test_a_job_that_says_no_end_is_refused_where_the_file_says_none(client: httpx.Client, scene: str) -> None:
+    answer = client.post("/v1/jobs", json={"scene": scene, "settings": SETTINGS})
+    assert "when to stop" in assert_problem(answer, 422, "settings-rejected")

@@ -43,30 +43,69 @@ def test_zip_xml_and_folder_are_taken(tmp_path: Path) -> None:
             folder_of(tmp_path / "folder", files),
         ]
     ):
-        xml = unpack(upload, tmp_path / f"into{index}")
+        xml = unpack(upload, tmp_path / f"into{index}").xml
         assert xml.read_bytes() == XML
         assert (xml.parent / "models/a.obj").read_bytes() == OBJ
     single = tmp_path / "other.xml"
     single.write_bytes(XML)
-    assert unpack(single, tmp_path / "into-xml").read_bytes() == XML
+    assert unpack(single, tmp_path / "into-xml").xml.read_bytes() == XML
 
 
 def test_uploads_are_told_by_content_not_by_name(tmp_path: Path) -> None:
     zip_of(tmp_path / "upload.xml", {"scene.xml": XML})
-    assert unpack(tmp_path / "upload.xml", tmp_path / "into").read_bytes() == XML
+    assert unpack(tmp_path / "upload.xml", tmp_path / "into").xml.read_bytes() == XML
 
 
 def test_which_xml_is_the_scene(tmp_path: Path, reject: Reject) -> None:
     one = zip_of(tmp_path / "one.zip", {"room.xml": XML, "parts/lamp.xml": b"<scene/>"})
-    assert unpack(one, tmp_path / "one").name == "room.xml"
+    assert unpack(one, tmp_path / "one").xml.name == "room.xml"
     named = zip_of(tmp_path / "named.zip", {"a.xml": b"<scene/>", "scene.xml": XML})
-    assert unpack(named, tmp_path / "named").name == "scene.xml"
+    assert unpack(named, tmp_path / "named").xml.name == "scene.xml"
     two = zip_of(tmp_path / "two.zip", {"a.xml": XML, "b.xml": XML})
     assert "2 XML files" in refused(two, tmp_path / "t1", reject)
     none = zip_of(tmp_path / "none.zip", {"a.obj": OBJ})
     assert "no XML" in refused(none, tmp_path / "t2", reject)
     deep = zip_of(tmp_path / "deep.zip", {"x/y/scene.xml": XML})
     assert "no XML" in refused(deep, tmp_path / "t3", reject)
+
+
+SEEN = b'<scene version="3.0.0"><sensor type="perspective"/></scene>'
+
+
+@pytest.mark.parametrize(
+    ("files", "scene"),
+    [
+        ({"LICENSE": b"x", "kitchen/kitchen.xml": XML, "kitchen/wood.png": b"x"}, "kitchen/kitchen.xml"),
+        ({"textures/wood.png": b"x", "scene/scene.xml": XML, "parts/lamp.xml": b"<scene/>"}, "scene/scene.xml"),
+        ({"room.xml": b'<scene><include filename="parts\\lamp.xml"/></scene>', "lamp.xml": b"<scene/>"}, "room.xml"),
+        ({"a.xml": SEEN, "materials.xml": b"<scene/>"}, "a.xml"),
+        ({"__MACOSX/room.xml": b"x", "room/room.xml": XML}, "room/room.xml"),
+    ],
+)
+def test_the_scene_is_found_beside_what_it_includes_or_one_folder_down(
+    files: dict[str, bytes], scene: str, tmp_path: Path
+) -> None:
+    into = tmp_path / "into"
+    assert unpack(zip_of(tmp_path / "a.zip", files), into).xml == into / scene
+
+
+def test_what_no_scene_has_a_use_for_is_left_out_and_listed(tmp_path: Path) -> None:
+    names = ["LICENSE", "README", "Makefile", "room.blend", "notes.md", "lamp.mtl", ".gitignore", "a/b/preview.webp"]
+    upload = zip_of(tmp_path / "a.zip", {"scene.xml": XML, **dict.fromkeys(names, b"x"), "a/wood.png": b"x"})
+    unpacked = unpack(upload, tmp_path / "into")
+    assert sorted(unpacked.ignored) == sorted(names)
+    assert listing(tmp_path / "into") == {"scene.xml", "a", "a/wood.png"}
+
+
+def test_an_archive_of_nothing_but_ignored_files_is_no_scene(tmp_path: Path, reject: Reject) -> None:
+    upload = zip_of(tmp_path / "a.zip", {f"{number}.blend": b"x" for number in range(100)})
+    assert "no XML" in refused(upload, tmp_path, reject)
+
+
+def test_folders_packed_with_backslashes_are_folders(tmp_path: Path) -> None:
+    upload = zip_of(tmp_path / "a.zip", {"scene.xml": XML, "a\\b\\wood.png": b"x"})
+    unpack(upload, tmp_path / "into")
+    assert listing(tmp_path / "into") == {"scene.xml", "a", "a/b", "a/b/wood.png"}
 
 
 def test_litter_of_file_managers_is_left_out(tmp_path: Path) -> None:
@@ -123,11 +162,9 @@ def test_names_that_are_refused(name: str, tmp_path: Path, reject: Reject) -> No
         "__MACOSX/a.so",
         "inner.zip",
         "inner.tar.gz",
+        "inner.7z",
         "a.sh",
         "a.exe",
-        "a",
-        "Makefile",
-        ".txt",
     ],
 )
 def test_kinds_that_are_refused(name: str, tmp_path: Path, reject: Reject) -> None:
@@ -238,7 +275,7 @@ def test_limits_hold(tmp_path: Path, reject: Reject) -> None:
         ]
     ):
         assert word in refused(upload, tmp_path / f"t{index}", reject, limits)
-        assert unpack(upload, tmp_path / f"ok{index}").exists()
+        assert unpack(upload, tmp_path / f"ok{index}").xml.exists()
 
 
 def test_a_million_entries_are_refused_before_they_are_read(
@@ -334,7 +371,7 @@ def test_mutated_archives_are_refused_or_unpacked(
     into = base / "sub" / "into"
     into.mkdir(parents=True)
     try:
-        assert unpack(upload, into).is_relative_to(into)
+        assert unpack(upload, into).xml.is_relative_to(into)
     except SceneRejected:
         assert listing(into) == set()
     assert listing(base) - {f"sub/into/{name}" for name in listing(into)} == {"upload", "sub", "sub/into"}

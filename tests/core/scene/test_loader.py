@@ -132,7 +132,7 @@ def test_the_sensor_is_counted_in_file_order(tmp_path: Path, reject: Reject) -> 
     assert "no sensor -1" in reject(load_scene, upload, VARIANT, sensor=-1)
 
 
-@pytest.mark.parametrize("name", ["path", "elps_bdpt", "volpathmis", "prb"])
+@pytest.mark.parametrize("name", ["path", "elps_bdpt", "volpathmis", "prb", "pssmlt", "../evil", "aov"])
 def test_an_integrator_may_be_named_and_does_not_enter(name: str, tmp_path: Path) -> None:
     with_one = load(
         tmp_path, scene_xml(f'<integrator type="{name}"><integer name="max_depth" value="3"/></integrator>' + SQUARE)
