@@ -154,7 +154,7 @@ def _exit(job: Job) -> None:
 
 
 def _bundle(scene: Path, folder: Path, root: Path | None, defines: dict[str, str]) -> Path:
-    """The file to upload: an archive as it is; an .xml with all that it names, or a folder, as a zip below ``folder``."""
+    """The file to upload: an archive as it is; an .xml with all that it names, or a folder, as a zip in ``folder``."""
     import zipfile
 
     if not scene.exists():

@@ -144,7 +144,8 @@ class Farm:
     ) -> Job:
         """Create a job in state queued. A job with neither samples nor seconds gets the farm's most seconds.
 
-        What neither ``settings`` nor ``stop`` say, the scene file may say (:class:`elps_core.scene.summary.FileDefaults`).
+        What neither ``settings`` nor ``stop`` say, the scene file may say
+        (:class:`elps_core.scene.summary.FileDefaults`).
 
         Raises:
             SceneRejected: no such scene, or ``defines`` names a parameter that it does not have.

@@ -182,7 +182,7 @@ class _Reading:
         source, name = node.attributes.get("id", ""), node.attributes.get("as", "")
         if not source or not name or name in self.aliases:
             raise SceneRejected(f"{node} needs the 'id' of an object and a new name for it in 'as'")
-        # An alias of an alias is one of the object itself: only names that were given before count, so none is circular.
+        # An alias of an alias is one of the object itself. Only names that were given before count: none is circular.
         self.aliases[name] = self.aliases.get(source, source)
 
     def rename(self, root: Node) -> None:

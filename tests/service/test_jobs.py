@@ -12,6 +12,7 @@ import httpx
 import pytest
 
 from tests.service.live import assert_problem
+from tests.service.test_scenes import with_shape
 
 SETTINGS = {"integrator": "mi_path", "width": 8, "height": 8}
 
@@ -205,7 +206,7 @@ def test_what_the_job_leaves_open_the_scene_file_says(client: httpx.Client) -> N
         '<default name="r" value="0.5"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
     )
     sampler = '<sampler type="independent"><integer name="sample_count" value="24"/></sampler>'
-    xml = with_shape(said).replace(b"</sensor>", sampler.encode() + b"</sensor>", 1)
+    xml = with_shape(said).replace('<sampler type="independent"/>', sampler)
     record = client.post("/v1/scenes", content=xml, headers={"Content-Type": "application/xml"}).json()
     assert record["summary"]["parameters"] == {"k": "5", "r": "0.5"}
     body = {"scene": record["digest"], "settings": SETTINGS}

@@ -1,4 +1,4 @@
-"""A scene's integrator and sampler are advice: known values become defaults of a job, and nothing is refused for them."""
+"""A scene's integrator and sampler are advice: known values become defaults of a job, and none is refused."""
 
 from __future__ import annotations
 
