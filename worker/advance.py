@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from elps_core.estimate.schedule import MEANTIME
 from elps_core.estimate.stats import MIN_CHUNKS
+from elps_core.settings import PREPARATION
 from worker.models import FINAL_STATES, ContextState, Job
 from worker.state import JobEntry
 
@@ -41,6 +42,7 @@ def decide(
     window: int,
     now: float,
     chunk_spp: ChunkSpp,
+    prepared: float = 0.0,
 ) -> Decision:
     """The next step of a job all of whose mergeable chunks are merged.
 
@@ -52,6 +54,7 @@ def decide(
         window: most chunks in flight for the job, so that ending it early wastes little.
         now: Unix time, seconds.
         chunk_spp: the schedule of its render digest.
+        prepared: seconds that the context has taken so far.
     """
     job = entry.job
     if job.state in FINAL_STATES:
@@ -60,7 +63,9 @@ def decide(
         return Decision(finish=True)
     known = done | in_flight | frozenset(entry.merged)
     if context in ("missing", "failed", "building"):
-        return Decision(build_context=context != "building", start=_meantime(job, known, in_flight, window))
+        late = prepares_later(job, prepared, now)
+        build = context != "building" and not late
+        return Decision(build_context=build, start=_meantime(job, known, in_flight, window, late=late))
     room = window - len(in_flight)
     wanted: list[int] = []
     late = False
@@ -78,12 +83,27 @@ def decide(
     return Decision(start=tuple(wanted), finish=late and not wanted and not in_flight)
 
 
-def _meantime(job: Job, known: frozenset[int], in_flight: frozenset[int], window: int) -> tuple[int, ...]:
-    """Chunks to render while there is no context: the first at once, more where workers have nothing else to do."""
+def prepares_later(job: Job, prepared: float, now: float) -> bool:
+    """Whether a job's context has to wait until more is rendered: of the time of a job that has no limit of time,
+    preparing takes a quarter.
+
+    ``prepared``: seconds that the context has taken so far.
+    """
+    free = job.settings.integrator == "auto" and job.stop.seconds is None
+    return free and prepared > PREPARATION * (now - (job.started or now))
+
+
+def _meantime(
+    job: Job, known: frozenset[int], in_flight: frozenset[int], window: int, *, late: bool
+) -> tuple[int, ...]:
+    """Chunks to render while there is no context: the first at once, more where workers have nothing else to do.
+
+    ``late``: whether nobody builds the context until more is rendered.
+    """
     if job.settings.integrator != "auto":
         return ()
     early = [index for index in known if index >= MEANTIME]
-    others = window - 2 - len(in_flight)  # Workers but the one that builds the context
+    others = window - (1 if late else 2) - len(in_flight)  # Workers but the one that builds the context
     return tuple(MEANTIME + len(early) + k for k in range(max(others, 0 if early else 1)))
 
 
@@ -163,6 +183,11 @@ def _reached(entry: JobEntry, now: float) -> bool:
 
 
 def _planned(job: Job, merged: tuple[int, ...], chunk_spp: ChunkSpp) -> bool:
-    """Whether the merged chunks are all that the limit on samples asks for; what came before a context is besides."""
-    later = (index for index in merged if index < MEANTIME)
-    return job.stop.samples is not None and sum(chunk_spp(index) for index in later) >= job.stop.samples
+    """Whether the merged chunks are all that the limit on samples asks for.
+
+    Those by the context, or those that were there before it: together they are no fixed set.
+    """
+    if job.stop.samples is None:
+        return False
+    later = sum(chunk_spp(index) for index in merged if index < MEANTIME)
+    return max(later, sum(chunk_spp(index) for index in merged if index >= MEANTIME)) >= job.stop.samples

@@ -97,6 +97,12 @@ class Job(_Record):
     seconds_context: float = 0.0
     seconds_rendering: float = 0.0
     """Sum over chunks of the time a worker spent on them."""
+    seconds_loading: float = 0.0
+    """Of these two and before them, summed over workers: loading the scene,"""
+    seconds_compiling: float = 0.0
+    """compiling kernels that were not on disk,"""
+    seconds_tracing: float = 0.0
+    """and the host's work between kernels, most of it telling what they are to do."""
     eta_seconds: float | None = None
     digest: str
     """Render digest: what the image depends on. Equal digests share chunks."""

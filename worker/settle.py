@@ -86,7 +86,7 @@ class Settler:
         now = time.time()
         entry = _counted(entry, facts, now)
         window = sum(job.settings.variant in worker.variants for worker in state.workers()) + 1
-        decision = decide(entry, context, done, in_flight, window, now, spp)
+        decision = decide(entry, context, done, in_flight, window, now, spp, self._prepared(job))
         key = None
         if facts.chunks and (decision.finish or publish_due(entry, now, self._parts.settings.publish_seconds)):
             key = publish(self._parts.store, job, image)
@@ -138,6 +138,11 @@ class Settler:
             return "missing"
         self._parts.state.set_context(ContextRecord.model_validate_json(stored))
         return "ready"
+
+    def _prepared(self, job: Job) -> float:
+        """Seconds that the context of a job has taken so far."""
+        record = self._parts.state.context(job.context_digest) if job.context_digest else None
+        return (record.seconds or 0.0) if record else 0.0
 
     def _choice(self, job: Job) -> dict[str, Any] | None:
         """What the trials of a job's context say that should render."""

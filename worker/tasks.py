@@ -20,15 +20,15 @@ from pydantic import ValidationError
 from elps_core.errors import DeviceUnavailable, ElpsError
 from elps_core.estimate.schedule import MEANTIME
 from elps_core.selection.race import Allowance
-from worker.advance import worth_starting
+from worker.advance import prepares_later, worth_starting
 from worker.errors import FarmUnavailable
 from worker.leases import Lease, Work, kept
 from worker.lifetime import end_with_parent
-from worker.models import Job
+from worker.models import ContextRecord, Job
 from worker.parts import Parts
 from worker.queue import offer_for
 from worker.settle import Settler, schedule
-from worker.state import JobEntry, missing_context
+from worker.state import Change, JobEntry, missing_context, update
 from worker.store import chunk_key, name
 from worker.warm import Warm, checkpoint_key
 
@@ -74,6 +74,7 @@ class Child:
             key = chunk_key(digest, index)
             if not store.exists(key):
                 store.put(key, self.warm.chunk(job, index).to_bytes())
+                self._tell(state.of_render(digest))
 
         lease = self._attempt(Work("chunk", digest, index), render)
         if lease is None:
@@ -91,9 +92,26 @@ class Child:
             return
         self._parts.board.finish(lease)
         record = state.context(digest)
-        if record is not None and record.state == "ready":
-            for entry in state.waiting(digest):
+        waiting = state.waiting(digest)
+        self._tell(waiting)
+        for entry in waiting:
+            # Jobs without a limit of time may have to render before the next step is due.
+            if record is not None and (record.state == "ready" or entry.job.stop.seconds is None):
                 self.settle(entry.job.id)
+
+    def _later(self, job: Job, record: ContextRecord) -> bool:
+        return prepares_later(job, record.seconds or 0.0, time.time())
+
+    def _tell(self, entries: list[JobEntry]) -> None:
+        """Add what was spent to the records of the jobs that it was spent on."""
+        if spent := self.warm.spent():
+
+            def add(entry: JobEntry) -> Change:
+                fields = {field: round(getattr(entry.job, field) + seconds, 3) for field, seconds in spent.items()}
+                return Change(update(entry, **fields))
+
+            for entry in entries:
+                self._parts.state.change(entry.job.id, add)
 
     def rebuild(self) -> None:
         """Bring back the jobs that Redis does not know and the store does."""
@@ -131,8 +149,9 @@ class Child:
             record = record.model_copy(update={"state": "building", "seconds": 0.0, "error": None})
             state.set_context(record)
         begin = time.monotonic()
-        builder = self.warm.builder(job, done)
-        builder.step(_time_for_preparing(job, self.warm.compiling))
+        with self.warm.timed():
+            builder = self.warm.builder(job, done)
+            builder.step(_time_for_preparing(job, self.warm.compiling))
         finished = builder.done == builder.steps
         if finished:
             context = builder.result()
@@ -149,7 +168,7 @@ class Child:
             for key in store.keys(f"contexts/{name(digest)}"):
                 store.delete(key)
             self.warm.forget_builder(digest)
-        else:
+        elif not self._later(job, record):
             # Offered before this step is taken off the board, so that no job sees nobody at work.
             self._parts.offer(job, Work("context", digest, builder.done))
         state.set_context(record)

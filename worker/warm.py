@@ -6,9 +6,10 @@ Only the child that Celery forks uses this: it is the one place of the package t
 from __future__ import annotations
 
 import tempfile
+import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from contextlib import suppress
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -23,9 +24,14 @@ if TYPE_CHECKING:
     from elps_core.context.build import ContextBuilder
     from elps_core.renderer import Renderer
     from elps_core.scene.loader import LoadedScene
+    from elps_core.timing import KernelClock
 
 SCENES_KEPT = 2
 """Loaded scenes, renderers and builders kept: fair shares make two jobs alternate on one worker."""
+SPENT = ("seconds_loading", "seconds_compiling", "seconds_tracing")
+"""Fields of a job that tell what its time was spent on besides running kernels."""
+TOLD = 0.05
+"""Seconds below which that is kept back: each telling is a change of the job."""
 SURROUNDINGS_TRIED = 4
 """Contexts of other cameras that a new one looks at, a third of a second each."""
 ACCUMULATIONS_KEPT = 4
@@ -64,10 +70,31 @@ class Warm:
         self._store = store
         self.compiling = 0.0
         """Seconds that the kernel of plain paths took to compile for the job that was begun last."""
+        self._spent = dict.fromkeys(SPENT, 0.0)
         self._scenes: Recent[tuple[object, ...], LoadedScene] = Recent(SCENES_KEPT)
         self._renderers: Recent[str, Renderer] = Recent(SCENES_KEPT)
         self._builders: Recent[str, ContextBuilder] = Recent(SCENES_KEPT)
         self._accumulations: Recent[str, tuple[float, Accumulation]] = Recent(ACCUMULATIONS_KEPT)
+
+    @contextmanager
+    def timed(self) -> Iterator[KernelClock]:
+        """Adds up what is done inside it besides running kernels, for :meth:`spent`."""
+        from elps_core.timing import KernelClock
+
+        begin, loading = time.perf_counter(), self._spent["seconds_loading"]
+        with KernelClock() as kernels:
+            yield kernels
+        loading = self._spent["seconds_loading"] - loading
+        whole = time.perf_counter() - begin
+        self._spent["seconds_compiling"] += kernels.compiling
+        self._spent["seconds_tracing"] += max(0.0, whole - loading - kernels.compiling - kernels.running)
+
+    def spent(self) -> dict[str, float]:
+        """Seconds by the names of a job's fields since the last call; empty while they are not worth telling."""
+        if sum(self._spent.values()) < TOLD:
+            return {}
+        spent, self._spent = self._spent, dict.fromkeys(SPENT, 0.0)
+        return spent
 
     def prepare(self, variant: str) -> None:
         """Load Mitsuba and what renders with it, before the first job asks. Raises DeviceUnavailable."""
@@ -79,11 +106,10 @@ class Warm:
 
     def chunk(self, job: Job, index: int) -> Chunk:
         """Render a chunk of a job."""
-        from elps_core.timing import KernelClock
-
         meantime = index >= MEANTIME
-        renderer = self.renderer(job, meantime=meantime)
-        with KernelClock() as kernels:
+        with self.timed():
+            renderer = self.renderer(job, meantime=meantime)
+        with self.timed() as kernels:
             chunk = renderer.render_chunk(index)
         if meantime:
             self.compiling = kernels.compiling
@@ -166,19 +192,22 @@ class Warm:
         own = job.settings.width is None
         record = self._store.get(f"scenes/{name(job.scene)}.json")
         defines = SceneRecord.model_validate_json(record).defines if record else {}
+        begin = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
             for suffix in (".zip", ".xml"):
                 upload = self._store.fetch(f"scenes/{name(job.scene)}{suffix}", Path(folder))
                 if upload is not None:
                     bundle = Path(folder) / "bundle"
                     unpack(upload, bundle)
-                    return load_scene(
+                    loaded = load_scene(
                         bundle,
                         job.settings.variant,
                         sensor=job.settings.sensor,
                         size=None if own else size,
                         defines=defines,
                     )
+                    self._spent["seconds_loading"] += time.perf_counter() - begin
+                    return loaded
         raise RenderFailed("the scene is no longer in the store: upload it again")
 
     def _context(self, digest: str | None) -> GlobalContext | None:

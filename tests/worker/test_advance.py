@@ -53,6 +53,23 @@ def decided(
     return decide(job, context, done, flying, window, now, spp)
 
 
+def test_a_job_without_a_limit_of_time_prepares_for_a_quarter_of_what_has_passed() -> None:
+    auto = RenderSettings(integrator="auto")
+    job = entry(StopCriterion(samples=64), merged=(MEANTIME,), settings=auto)
+    there = frozenset({MEANTIME})
+
+    def at(now: float, prepared: float, flying: frozenset[int] = NONE) -> Decision:
+        return decide(job, "missing", there, flying, 2, now, spp, prepared)
+
+    assert at(8.0, 2.0) == Decision(build_context=True)
+    assert at(7.9, 2.0) == Decision(start=(MEANTIME + 1,))
+    assert at(7.9, 2.0, frozenset({MEANTIME + 1})) == Decision()
+    timed = entry(StopCriterion(samples=64, seconds=60.0), merged=(MEANTIME,), settings=auto)
+    assert decide(timed, "missing", there, NONE, 2, 7.9, spp, 2.0).build_context
+    enough = entry(StopCriterion(samples=2), merged=(MEANTIME, MEANTIME + 1), settings=auto)
+    assert decide(enough, "missing", there, NONE, 2, 7.9, spp, 2.0).finish
+
+
 @pytest.mark.parametrize("name", CANDIDATES)
 def test_chunks_are_as_large_as_those_of_what_trials_have_chosen(name: str) -> None:
     named = CANDIDATES[name].settings(RenderSettings())
