@@ -189,10 +189,31 @@ def test_refusals_are_one_line_and_status_2(maze: Path, tmp_path: Path, options:
     assert not list(tmp_path.iterdir())
 
 
-def test_no_limit_is_refused(maze: Path, tmp_path: Path) -> None:
-    done = elps("render", str(maze), "-o", str(tmp_path / "image.exr"))
-    assert done.returncode == 2
-    assert "--spp" in done.stderr
+BALL = """<scene version="3.0.0"><default name="albedo" value="0.5"/>
+<integrator type="path"><integer name="max_depth" value="3"/></integrator>
+<sensor type="perspective"><film type="hdrfilm"><rfilter type="box"/></film>SAMPLER</sensor>
+<emitter type="constant"/>
+<shape type="sphere"><point name="center" x="0" y="0" z="5"/><bsdf type="diffuse">
+<rgb name="reflectance" value="$albedo"/></bsdf></shape></scene>"""
+
+
+def test_what_is_not_said_the_file_says(tmp_path: Path) -> None:
+    """Depth and samples come from the file, the albedo from the command; a job that no one ends is refused."""
+    scene, output = tmp_path / "ball.xml", tmp_path / "image.exr"
+    sampler = '<sampler type="independent"><integer name="sample_count" value="4"/></sampler>'
+    scene.write_text(BALL.replace("SAMPLER", sampler))
+    plain = ("--integrator", "path", "--light-sampling", "uniform", "-D", "albedo=0")
+    assert render(scene, output, *plain)["spp"] == 4
+    parts, attributes = read_exr(output)
+    assert attributes["maxDepth"] == 3
+    assert parts["image"].min() == 0.0
+    scene.write_text(BALL.replace("SAMPLER", ""))
+    refused = elps("render", str(scene), "-o", str(output))
+    assert refused.returncode == 2
+    assert "say when to stop" in refused.stderr
+    unknown = elps("render", str(scene), "-o", str(output), "--spp", "1", "-D", "albdo=0")
+    assert unknown.returncode == 2
+    assert "'albdo'" in unknown.stderr
 
 
 def test_a_missing_scene_is_refused(tmp_path: Path) -> None:
