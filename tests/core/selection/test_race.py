@@ -31,6 +31,7 @@ from elps_core.selection.race import (
     GROWTH,
     GUIDED_COSTS,
     UNKNOWN,
+    UNTRIED,
     Allowance,
     brought_up,
     contenders,
@@ -99,7 +100,7 @@ def test_training_ends_where_tables_will_not_pay(plain: float, guided: float, pa
     assert training_pays([trial(PATH, plain), trial(GUIDED_PATH, guided)], 0.1) is pays
 
 
-@pytest.mark.parametrize(("gain", "pays"), [(0.9 * GUIDED_COSTS / GROWTH, False), (1.1 * GUIDED_COSTS / GROWTH, True)])
+@pytest.mark.parametrize(("gain", "pays"), [(0.9 * GUIDED_COSTS / UNTRIED, False), (1.1 * GUIDED_COSTS / UNTRIED, True)])
 def test_paths_of_training_speak_for_guided_ones_that_were_not_tried(gain: float, pays: bool) -> None:
     assert training_pays([trial(PATH, 1.0)], gain) is pays
     assert training_pays([trial(PATH, 4.0), trial(BDPT, 0.5, 2.0)], 4.0 * gain) is pays
