@@ -16,6 +16,11 @@ from elps_core.estimate.stats import relative_error
 
 Image = NDArray[np.float32]
 
+RGB = ("R", "G", "B")
+"""Channels of an image as a rule: linear, with the primaries of Rec. 709."""
+RGBA = (*RGB, "A")
+"""The same, and how much of each pixel is covered: colours hold that part already."""
+
 _STATISTIC = "statistic "
 """Prefix of the names of statistics in a record."""
 
@@ -39,17 +44,20 @@ class Chunk:
     seconds: float
     """Time that rendering it took."""
     image: Image
-    """Mean radiance, linear RGB, float32 [height, width, 3]."""
+    """Mean radiance, float32 [height, width, channels]."""
     weight: Image
     """Weight of each pixel's mean, float32 [height, width]: samples times the filter's weight."""
     statistics: Mapping[str, float] = field(default_factory=dict)
     """Numbers that the algorithm says of its work, by name; each is a mean over the chunk's samples."""
+    channels: tuple[str, ...] = RGB
+    """Names: :data:`RGB`, :data:`RGBA`, or those of the film's bands."""
 
     def to_bytes(self) -> bytes:
         """The chunk as one safetensors record."""
         facts = np.array([self.index, self.spp, self.seconds], np.float64)
         statistics = {_STATISTIC + name: np.array([value], np.float64) for name, value in self.statistics.items()}
-        return save_tensors({"facts": facts, "image": self.image, "weight": self.weight, **statistics})
+        names = {"channels": _packed(self.channels)}
+        return save_tensors({"facts": facts, "image": self.image, "weight": self.weight, **names, **statistics})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Chunk:
@@ -57,12 +65,16 @@ class Chunk:
         record = load_tensors(data)
         index, spp, seconds = record["facts"]
         statistics = {name: float(values[0]) for name, values in _statistics_in(record).items()}
-        return cls(int(index), int(spp), float(seconds), record["image"], record["weight"], statistics)
+        image, channels = record["image"], _unpacked(record["channels"])
+        return cls(int(index), int(spp), float(seconds), image, record["weight"], statistics, channels)
 
 
 @dataclass
 class Accumulation:
-    """The weighted mean of independent chunks, and what their scatter says of its error."""
+    """The weighted mean of independent chunks, and what their scatter says of its error.
+
+    While it is empty it has the channels of a colour image; then those of its chunks, which must agree.
+    """
 
     width: int
     height: int
@@ -70,6 +82,7 @@ class Accumulation:
     """Indices of the chunks it holds."""
     spp: int = 0
     seconds: float = 0.0
+    channels: tuple[str, ...] = RGB
     _weight: NDArray[np.float64] = field(init=False, repr=False)
     _sum: NDArray[np.float64] = field(init=False, repr=False)
     _square: NDArray[np.float64] = field(init=False, repr=False)
@@ -78,9 +91,13 @@ class Accumulation:
 
     def __post_init__(self) -> None:
         """Start from an empty image."""
+        self._begin(self.channels)
+
+    def _begin(self, channels: tuple[str, ...]) -> None:
+        self.channels = channels
         self._weight = np.zeros((self.height, self.width, 1))
-        self._sum = np.zeros((self.height, self.width, 3))
-        self._square = np.zeros((self.height, self.width, 3))
+        self._sum = np.zeros((self.height, self.width, len(channels)))
+        self._square = np.zeros((self.height, self.width, len(channels)))
 
     @classmethod
     def empty(cls, width: int, height: int) -> Accumulation:
@@ -91,9 +108,11 @@ class Accumulation:
         """Add a chunk, whose samples count ``factor`` as much as others: it must not depend on the samples.
 
         Raises:
-            ValueError: the chunk's size differs, or its index is already in.
+            ValueError: the chunk's size or channels differ, or its index is already in.
         """
-        if chunk.image.shape != self._sum.shape:
+        if not self.chunks:
+            self._begin(chunk.channels)
+        if chunk.channels != self.channels or chunk.image.shape != self._sum.shape:
             raise ValueError("the chunk has another size")
         if chunk.index in self.chunks:
             raise ValueError(f"chunk {chunk.index} is already in")
@@ -128,10 +147,15 @@ class Accumulation:
         """Add all that ``other`` holds.
 
         Raises:
-            ValueError: sizes differ, or both hold the same chunk.
+            ValueError: sizes or channels differ, or both hold the same chunk.
         """
-        if other._sum.shape != self._sum.shape or self.chunks & other.chunks:
-            raise ValueError("the accumulations differ in size or share chunks")
+        if not other.chunks:
+            return
+        if not self.chunks:
+            self._begin(other.channels)
+        alike = other.channels == self.channels and other._sum.shape == self._sum.shape
+        if not alike or self.chunks & other.chunks:
+            raise ValueError("the accumulations differ in size or channels, or share chunks")
         self._weight += other._weight
         self._sum += other._sum
         self._square += other._square
@@ -142,7 +166,7 @@ class Accumulation:
             self._statistics.setdefault(name, []).extend(values)
 
     def mean(self) -> Image:
-        """The image, linear RGB, float32 [height, width, 3]; zeros where nothing was sampled."""
+        """The image, float32 [height, width, channels]; zeros where nothing was sampled."""
         return self._mean().astype(np.float32)
 
     def standard_error(self) -> Image:
@@ -159,8 +183,11 @@ class Accumulation:
         return np.sqrt(variance).astype(np.float32)
 
     def relative_error(self) -> float | None:
-        """See :func:`elps_core.estimate.stats.relative_error`; None with fewer than two chunks."""
-        return relative_error(self.mean(), self.standard_error()) if len(self.chunks) >= 2 else None
+        """Of the light, see :func:`elps_core.estimate.stats.relative_error`; None with fewer than two chunks."""
+        if len(self.chunks) < 2:
+            return None
+        light = slice(len(RGB) if self.channels == RGBA else None)
+        return relative_error(self.mean()[..., light], self.standard_error()[..., light])
 
     def statistics(self) -> dict[str, Statistic]:
         """What the algorithm says of its work, by name.
@@ -187,6 +214,7 @@ class Accumulation:
         record: dict[str, NDArray[Any]] = {
             "facts": np.array([self.width, self.height, self.spp, self.seconds], np.float64),
             "chunks": np.array(sorted(self.chunks), np.int64),
+            "channels": _packed(self.channels),
             "weight": self._weight,
             "sum": self._sum,
             "square": self._square,
@@ -199,13 +227,22 @@ class Accumulation:
         """The inverse of :meth:`to_bytes`."""
         record = load_tensors(data)
         width, height, spp, seconds = record["facts"]
-        result = cls(int(width), int(height), {int(i) for i in record["chunks"]}, int(spp), float(seconds))
+        chunks, channels = {int(i) for i in record["chunks"]}, _unpacked(record["channels"])
+        result = cls(int(width), int(height), chunks, int(spp), float(seconds), channels)
         result._weight, result._sum, result._square = record["weight"], record["sum"], record["square"]
         result._statistics = {
             name: [(float(weight), float(value)) for weight, value in values]
             for name, values in _statistics_in(record).items()
         }
         return result
+
+
+def _packed(names: tuple[str, ...]) -> NDArray[np.uint8]:
+    return np.frombuffer("\n".join(names).encode(), np.uint8)
+
+
+def _unpacked(names: NDArray[Any]) -> tuple[str, ...]:
+    return tuple(names.tobytes().decode().split("\n"))
 
 
 def _statistics_in(record: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
