@@ -14,13 +14,16 @@ from elps_core.context.adjoint import density_of
 from elps_core.context.build import check_lights
 from elps_core.context.store import GlobalContext
 from elps_core.errors import ContextMismatch, RenderFailed, SettingsRejected
-from elps_core.estimate.film import Chunk
+from elps_core.estimate.film import RGBA, Chunk
 from elps_core.estimate.schedule import chunk_spp
 from elps_core.integrators import make
+from elps_core.integrators.alpha import AlphaFrames
+from elps_core.integrators.canvas import Canvas
 from elps_core.paths.stream import key_seed
 from elps_core.scene.loader import LoadedScene
+from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import Choice, choose, fit_candidates, plain_of
-from elps_core.settings import DEPTH_BASELINES, RenderSettings
+from elps_core.settings import DEPTH_BASELINES, MAX_DEPTH, RenderSettings
 
 
 class Renderer:
@@ -42,6 +45,9 @@ class Renderer:
         self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
         """What renders frames by one of our own integrators; None for one of Mitsuba's."""
         self._baseline = self._mitsuba_integrator() if self.frames is None else None
+        film = scene.sensor.film()
+        self._canvas = Canvas(film, beyond=film.sample_border() and self.frames is None)
+        self._alpha: AlphaFrames | None = None
         self._spp = 0
 
     def _choose(self, context: GlobalContext | None) -> Choice:
@@ -72,7 +78,7 @@ class Renderer:
         name = self.settings.integrator[3:]
         description: dict[str, Any] = {"type": name}
         if name in DEPTH_BASELINES:
-            never = self.settings.max_depth + 1
+            never = self.settings.max_depth + 1  # Roulette is not asked for where there is no limit
             description["max_depth"] = self.settings.max_depth
             description["rr_depth"] = never if self.settings.roulette == "none" else self.settings.rr_depth
         try:
@@ -94,6 +100,7 @@ class Renderer:
         """
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
+        alpha: NDArray[np.float32] | None = None
         if count != self._spp:
             # Dr.Jit keeps what it has freed, by size: of no use to larger arrays, which would begin with new pages.
             dr.flush_malloc_cache()
@@ -102,15 +109,39 @@ class Renderer:
             frame = self.frames.render(count, (self.settings.seed, index))
             image, weight, statistics = np.array(frame.image), np.array(frame.weight), frame.statistics
         else:
-            image = self._render_baseline(count, index)
-            weight, statistics = np.full(image.shape[:2], count, np.float32), {}
+            image, weight, alpha = self._render_baseline(count, index)
+            statistics = {}
+        channels = self._canvas.names
+        if self._canvas.has_alpha:
+            alpha = self._render_alpha(count, index) if alpha is None else alpha
+            image, channels = np.concatenate([image, alpha[..., None]], axis=-1), RGBA
         if not np.isfinite(image).all():
             raise RenderFailed("the image holds values that are not numbers: check the scene's materials and lights")
-        return Chunk(index, count, time.perf_counter() - begin, image, weight, statistics)
+        return Chunk(index, count, time.perf_counter() - begin, image, weight, statistics, channels)
 
-    def _render_baseline(self, spp: int, index: int) -> NDArray[np.float32]:
+    def _render_alpha(self, spp: int, index: int) -> NDArray[np.float32]:
+        """The alpha channel with the samples of chunk ``index``, [height, width]."""
+        if self._alpha is None:
+            scene = self.scene
+            longest = min(self.settings.longest, MAX_DEPTH)
+            self._alpha = AlphaFrames(scene.scene, Camera(scene.sensor), self._canvas, longest)
+        return np.array(self._alpha.render(spp, (self.settings.seed, index)))
+
+    def _render_baseline(
+        self, spp: int, index: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]:
+        """Image and weight of a chunk by an integrator of Mitsuba's, and its alpha channel where that has one.
+
+        The film's sums are taken as they are: of its own image they are divided already, pixel by pixel.
+        """
         seed = key_seed(self.settings.seed, index) & 0xFFFFFFFF
-        scene, sensor = self.scene.scene, self.scene.sensor
-        image = mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
-        pixels = np.array(image, np.float32)
-        return np.ascontiguousarray(np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3])
+        scene, sensor, canvas = self.scene.scene, self.scene.sensor, self._canvas
+        mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
+        stored = np.array(sensor.film().develop(raw=True), np.float32)
+        sums, weight = stored[..., :-1], stored[..., -1]
+        if not weight.any():  # Light paths alone: the film holds radiance.
+            return np.ascontiguousarray(sums[..., : canvas.channels]), np.full(canvas.shape, spp, np.float32), None
+        divisor = np.array(canvas.divisor(mi.Float(weight.ravel()), spp)).reshape(canvas.shape)
+        pixels = sums / np.maximum(divisor, np.finfo(np.float32).tiny)[..., None]
+        alpha = pixels[..., canvas.channels] if canvas.has_alpha else None
+        return np.ascontiguousarray(pixels[..., : canvas.channels]), divisor, alpha
