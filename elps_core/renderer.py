@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -24,6 +24,8 @@ from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import Choice, choose, fit_candidates, plain_of
 from elps_core.settings import DEPTH_BASELINES, MAX_DEPTH, RenderSettings
+
+_Image: TypeAlias = "NDArray[np.float32]"
 
 
 class Renderer:
@@ -100,7 +102,7 @@ class Renderer:
         """
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
-        alpha: NDArray[np.float32] | None = None
+        alpha: _Image | None = None
         if count != self._spp:
             # Dr.Jit keeps what it has freed, by size: of no use to larger arrays, which would begin with new pages.
             dr.flush_malloc_cache()
@@ -108,8 +110,9 @@ class Renderer:
         if self.frames is not None:
             frame = self.frames.render(count, (self.settings.seed, index))
             image, weight, statistics = np.array(frame.image), np.array(frame.weight), frame.statistics
+            filtered = None if frame.filtered is None else np.array(frame.filtered)
         else:
-            image, weight, alpha = self._render_baseline(count, index)
+            image, weight, filtered, alpha = self._render_baseline(count, index)
             statistics = {}
         channels = self._canvas.names
         if self._canvas.has_alpha:
@@ -117,9 +120,9 @@ class Renderer:
             image, channels = np.concatenate([image, alpha[..., None]], axis=-1), RGBA
         if not np.isfinite(image).all():
             raise RenderFailed("the image holds values that are not numbers: check the scene's materials and lights")
-        return Chunk(index, count, time.perf_counter() - begin, image, weight, statistics, channels)
+        return Chunk(index, count, time.perf_counter() - begin, image, weight, statistics, channels, filtered)
 
-    def _render_alpha(self, spp: int, index: int) -> NDArray[np.float32]:
+    def _render_alpha(self, spp: int, index: int) -> _Image:
         """The alpha channel with the samples of chunk ``index``, [height, width]."""
         if self._alpha is None:
             scene = self.scene
@@ -127,12 +130,10 @@ class Renderer:
             self._alpha = AlphaFrames(scene.scene, Camera(scene.sensor), self._canvas, longest)
         return np.array(self._alpha.render(spp, (self.settings.seed, index)))
 
-    def _render_baseline(
-        self, spp: int, index: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]:
-        """Image and weight of a chunk by an integrator of Mitsuba's, and its alpha channel where that has one.
+    def _render_baseline(self, spp: int, index: int) -> tuple[_Image, _Image, _Image | None, _Image | None]:
+        """By an integrator of Mitsuba's: image, weight, what was filtered and alpha, the last two where there are any.
 
-        The film's sums are taken as they are: of its own image they are divided already, pixel by pixel.
+        The film's sums are taken as they are: its own image is divided already, pixel by pixel.
         """
         seed = key_seed(self.settings.seed, index) & 0xFFFFFFFF
         scene, sensor, canvas = self.scene.scene, self.scene.sensor, self._canvas
@@ -140,8 +141,11 @@ class Renderer:
         stored = np.array(sensor.film().develop(raw=True), np.float32)
         sums, weight = stored[..., :-1], stored[..., -1]
         if not weight.any():  # Light paths alone: the film holds radiance.
-            return np.ascontiguousarray(sums[..., : canvas.channels]), np.full(canvas.shape, spp, np.float32), None
-        divisor = np.array(canvas.divisor(mi.Float(weight.ravel()), spp)).reshape(canvas.shape)
-        pixels = sums / np.maximum(divisor, np.finfo(np.float32).tiny)[..., None]
+            image = np.ascontiguousarray(sums[..., : canvas.channels])
+            return image, np.full(canvas.shape, spp, np.float32), None, None
+        by, rest = canvas.divisor(mi.Float(weight.ravel()), spp)
+        divisor = np.array(by, np.float32).reshape(canvas.shape)
+        filtered = None if rest is None else np.array(rest, np.float32).reshape(canvas.shape)
+        pixels = np.asarray(sums / np.maximum(divisor, np.finfo(np.float32).tiny)[..., None], np.float32)
         alpha = pixels[..., canvas.channels] if canvas.has_alpha else None
-        return np.ascontiguousarray(pixels[..., : canvas.channels]), divisor, alpha
+        return np.ascontiguousarray(pixels[..., : canvas.channels]), divisor, filtered, alpha

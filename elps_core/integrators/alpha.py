@@ -34,17 +34,18 @@ class AlphaFrames:
         self._opaque = not hides and not any(bsdf and mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) for bsdf in bsdfs)
 
     def render(self, spp: int, key: tuple[int, ...]) -> mi.TensorXf:
-        """Mean over ``spp`` samples per pixel from the random streams named by ``key``, [height, width]."""
+        """Mean of ``spp`` samples per pixel from the random streams named by ``key``, [height, width].
+
+        It is divided as the canvas divides colours.
+        """
         canvas = self._canvas
-        if self._covered:
-            return dr.ones(mi.TensorXf, canvas.shape)
         block = canvas.block(2)
         total = canvas.pixels * spp
         samples = -(-total // -(-total // MAX_SAMPLES))
         for first in range(0, total, samples):
             self._render_pass(min(samples, total - first), first, key, block)
             dr.eval(block.tensor())
-        alpha, _ = canvas.divided(block, spp)
+        alpha, _, _ = canvas.divided(block, spp)
         return mi.TensorXf(alpha, canvas.shape)
 
     def _render_pass(self, samples: int, first: int, key: tuple[int, ...], block: mi.ImageBlock) -> None:
@@ -56,7 +57,9 @@ class AlphaFrames:
         stream = nets.stream(dr.arange(mi.UInt32, samples))
         aperture = stream.next_2d() if self._camera.has_aperture else mi.Point2f(0.5)
         ray = self._camera.sample_ray(position, mi.Float(0.5), aperture).ray
-        if self._opaque:
+        if self._covered:
+            met = dr.full(mi.Bool, True, samples)
+        elif self._opaque:
             met = self._scene.ray_test(ray)
         else:
 

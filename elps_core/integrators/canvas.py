@@ -14,12 +14,6 @@ COVERAGE_SIDE = 8
 """Side of the grid of positions per pixel over which a filter's mean weight is measured."""
 WITH_LOBES = ("CatmullRomFilter", "LanczosSincFilter", "MitchellNetravaliFilter")
 """Mitsuba's filters whose weights are negative in places."""
-ENOUGH_SAMPLES = 32
-"""Samples per pixel from which on the weights of a filter with lobes add up to a positive number, whatever the samples
-are. The sum over one random sample in each pixel has a standard deviation of half of its mean ('lanczos', 3 or 5
-lobes): over so many it lies ten of its own standard deviations above zero."""
-LEAST_SUM = 0.5
-"""Share of its mean that such a sum is taken for at least: five standard deviations below the mean."""
 LAST = 1.0 - 2.0**-24
 """The greatest number below 1 in single precision. Times a whole number it gives the greatest one below that."""
 
@@ -51,8 +45,9 @@ class Canvas:
     A pixel is the sum of filtered samples over the sum of their weights, as Mitsuba has it. Both are summed over all
     chunks of an image before they are divided, so that the quotient is right for many samples, and even areas have no
     noise of the filter: divided by the expected weight, one sample would have 23% under 'gaussian'. Where weights are
-    negative in places, the sum of a few may be next to nothing or negative; there the expected sum takes its place
-    (:meth:`divisor`), and the mean over such chunks is unbiased as it stands.
+    negative in places, the sum of a few may be next to nothing or negative; there chunks are divided by the expected
+    weight, and keep beside it how much of that their weights were, which is divided by when there are many samples
+    (:attr:`elps_core.estimate.film.Chunk.filtered`).
     Light paths land anywhere on the film, and are always divided by what is expected.
     """
 
@@ -95,37 +90,40 @@ class Canvas:
         """Whether there is light in any of the channels."""
         return reduce(or_, (value != 0.0 for value in values))
 
-    def divided(self, block: mi.ImageBlock, samples: int) -> tuple[mi.Float, mi.Float]:
-        """Mean of what was put into a block whose last channel holds weights, and what it was divided by, per pixel.
+    def divided(self, block: mi.ImageBlock, samples: int) -> tuple[mi.Float, mi.Float, mi.Float | None]:
+        """Mean of what was put into a block whose last channel holds weights, what it was divided by, and the rest.
 
-        ``samples`` were put into each pixel. The mean holds all other channels, pixel by pixel.
+        ``samples`` were put into each pixel. The mean holds all other channels, pixel by pixel. The rest is the sum of
+        weights over what the mean was divided by, where these differ.
         """
         channels = block.channel_count() - 1
         stored = block.tensor().array
         number = dr.arange(mi.UInt32, self.pixels)
-        weight = self.divisor(dr.gather(mi.Float, stored, number * (channels + 1) + channels), samples)
+        divisor, filtered = self.divisor(dr.gather(mi.Float, stored, number * (channels + 1) + channels), samples)
         pixel, channel = self._entries(channels)
         seen = dr.gather(mi.Float, stored, pixel * (channels + 1) + channel)
-        return seen / dr.maximum(dr.gather(mi.Float, weight, pixel), dr.smallest(mi.Float)), weight
+        return seen / dr.maximum(dr.gather(mi.Float, divisor, pixel), dr.smallest(mi.Float)), divisor, filtered
 
-    def divisor(self, weight: mi.Float, samples: int) -> mi.Float:
-        """What a pixel's filtered samples are divided by: the sum of their weights, or what it is on average.
+    def divisor(self, weight: mi.Float, samples: int) -> tuple[mi.Float, mi.Float | None]:
+        """What the filtered samples of pixels are divided by, and the sum of their weights over it where they differ.
 
-        The one takes the place of the other by the number of samples alone, and its mean is the same.
+        ``weight`` is that sum.
         """
         if not self.has_lobes:
-            return weight
+            return weight, None
         expected = self.coverage() * float(samples)
-        return expected if samples < ENOUGH_SAMPLES else dr.maximum(weight, LEAST_SUM * expected)
+        return expected, weight / expected
 
-    def spread(self, block: mi.ImageBlock, samples: float, channels: int) -> mi.Float:
+    def spread(self, block: mi.ImageBlock, samples: float, channels: int, filtered: mi.Float | None = None) -> mi.Float:
         """What light paths have put, divided by the weight that ``samples`` in each pixel have on average.
 
-        The block has one channel more than the ``channels`` of the result.
+        The block has one channel more than the ``channels`` of the result. ``filtered`` is what the image that it is
+        added to will be divided by.
         """
         pixel, channel = self._entries(channels)
         expected = samples * dr.gather(mi.Float, self.coverage(), pixel)
-        return dr.gather(mi.Float, block.tensor().array, pixel * (channels + 1) + channel) / expected
+        mean = dr.gather(mi.Float, block.tensor().array, pixel * (channels + 1) + channel) / expected
+        return mean if filtered is None else mean * dr.gather(mi.Float, filtered, pixel)
 
     def coverage(self) -> mi.Float:
         """Expected sum of filter weights per pixel for one sample in every pixel of the film: less at the borders."""

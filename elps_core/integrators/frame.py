@@ -29,6 +29,7 @@ class Frame:
     image: mi.TensorXf  # Mean radiance, linear RGB or bands, [height, width, channels]
     weight: mi.TensorXf  # What the eye paths of a pixel count when frames are merged, [height, width]
     statistics: dict[str, float] = field(default_factory=dict)  # What the algorithm says of its work
+    filtered: mi.TensorXf | None = None  # Of filters with lobes, see Chunk.filtered, [height, width]
 
 
 class FrameRenderer:
@@ -54,10 +55,14 @@ class FrameRenderer:
                 self._render_pass(min(samples, total - first), before + first, key, scale, eye, light)
                 dr.eval(eye.tensor(), light.tensor())
             before += total
-        image, weight = canvas.divided(eye, spp)
+        image, weight, filtered = canvas.divided(eye, spp)
         if self.bdpt.strategies.light_paths:
-            image = image + canvas.spread(light, lit_spp, channels)
-        return Frame(mi.TensorXf(image, (*canvas.shape, channels)), mi.TensorXf(weight, canvas.shape))
+            image = image + canvas.spread(light, lit_spp, channels, filtered)
+        return Frame(
+            mi.TensorXf(image, (*canvas.shape, channels)),
+            mi.TensorXf(weight, canvas.shape),
+            filtered=None if filtered is None else mi.TensorXf(filtered, canvas.shape),
+        )
 
     def _render_pass(
         self,

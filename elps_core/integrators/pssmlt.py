@@ -78,11 +78,12 @@ class MetropolisFrames:
         """``spp`` mutations per pixel by a set of chains of its own, named by ``key``."""
         canvas = self._direct.canvas
         image, weight = dr.zeros(mi.TensorXf, (*canvas.shape, 3)), mi.TensorXf(canvas.coverage(), canvas.shape)
+        filtered: mi.TensorXf | None = None
         if self._visible:
             samples = -(-spp // DIRECT_SHARE)
             seen = self._direct.render(samples, (*key, 0))
             # Frames are merged as those of eye paths: by weights that do not depend on what the chains find.
-            image, weight = seen.image, seen.weight / samples
+            image, weight, filtered = seen.image, seen.weight / samples, seen.filtered
         if self._chains:
             block = canvas.block(4)
 
@@ -93,5 +94,6 @@ class MetropolisFrames:
 
             self.statistics = self._chains.run(canvas.pixels * spp, (*key, 1), put)
             # What the chains put adds up to the film's mean, and not to a sum over pixels.
-            image = image + mi.TensorXf(canvas.spread(block, 1.0 / canvas.pixels, 3), (*canvas.shape, 3))
-        return Frame(image, weight * float(spp), self.statistics)
+            shown = canvas.spread(block, 1.0 / canvas.pixels, 3, None if filtered is None else filtered.array)
+            image = image + mi.TensorXf(shown, (*canvas.shape, 3))
+        return Frame(image, weight * float(spp), self.statistics, filtered)

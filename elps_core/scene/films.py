@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import cast, get_args
 
+from elps_core.errors import SceneRejected
 from elps_core.scene.markup import Node
 from elps_core.scene.summary import FilmSummary, PixelFormat
 
@@ -41,6 +42,24 @@ def warnings(film: Node | None) -> tuple[str, ...]:
     if border is not None and border.attributes.get("value", "").strip().lower() == "true":
         lines.append(f"{film}: 'sample_border' is left out but by Mitsuba's own integrators: no sample lies outside")
     return tuple(lines)
+
+
+def with_bands(root: Node) -> Node | None:
+    """A film below ``root`` that keeps bands, which a variant without spectra cannot fill; None without one."""
+    films = (node for node in root.objects() if node.tag == "film" and node.type == BANDS)
+    return next(films, None)
+
+
+def check(root: Node, variant: str) -> None:
+    """Refuse films that a variant cannot fill.
+
+    Raises:
+        SceneRejected: there is one; which variant can.
+    """
+    film = with_bands(root)
+    if film is not None and not variant.endswith("_spectral"):
+        spectral = variant.rpartition("_")[0] + "_spectral"
+        raise SceneRejected(f"{film}: its bands need a variant with spectra: choose {spectral}")
 
 
 def _text(film: Node, name: str) -> str:

@@ -16,13 +16,15 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from elps_core.errors import DeviceUnavailable, SceneRejected
-from elps_core.scene import sandbox
+from elps_core.scene import films, markup, sandbox
 from elps_core.scene.bundle import unpack
 from elps_core.scene.sandbox import ChildDiedError, ChildLimits
 from elps_core.scene.summary import SceneSummary
 
 VARIANT = "scalar_rgb"
 """The variant that runs on every machine: a front end needs neither LLVM nor a GPU to check a scene."""
+SPECTRAL = "scalar_spectral"
+"""The same for scenes whose film keeps bands."""
 MAX_ERROR_CHARACTERS = 400
 
 DEFAULT_LIMITS = ChildLimits()
@@ -57,7 +59,8 @@ def inspect(upload: Path) -> SceneReport:
     from elps_core.scene.loader import load_scene  # here: the parent process never needs it
 
     with tempfile.TemporaryDirectory(prefix="elps-scene-") as folder:
-        loaded = load_scene(unpack(upload, Path(folder)), VARIANT)
+        xml = unpack(upload, Path(folder))
+        loaded = load_scene(xml, SPECTRAL if films.with_bands(markup.read(xml)) else VARIANT)
         return SceneReport(digest=loaded.digest, summary=loaded.summary)
 
 

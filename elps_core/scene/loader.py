@@ -122,6 +122,7 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
         else:
             xml = source
         canonical = canonicalize(xml, sensor=sensor, size=size)
+        films.check(canonical.root, variant)
         scene, triangles = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
         summary = _summarize(scene, canonical, triangles)

@@ -14,6 +14,7 @@ import pytest
 
 from elps_core.context.store import load, save
 from elps_core.io.exr import read_exr
+from elps_core.scene.inspect import inspect
 
 SECONDS = {f"seconds_{part}" for part in ("total", "loading", "preparing", "rendering", "compiling", "tracing")}
 CONTRACT = (
@@ -285,6 +286,7 @@ def test_bands_are_written_under_their_names(tmp_path: Path) -> None:
     done = elps("render", str(scene), "-o", str(tmp_path / "b.exr"), "--integrator", "pssmlt", *options)
     assert done.returncode == 2
     assert "bands" in done.stderr
+    assert inspect(scene).summary.sensors[0].film.pixels == "bands"
 
 
 def test_no_limit_is_refused(maze: Path, tmp_path: Path) -> None:

@@ -154,3 +154,24 @@ def test_bands_keep_their_names() -> None:
     merged.add(Chunk.from_bytes(chunk.to_bytes()))
     assert merged.weighted(0.5).channels == names
     assert merged.mean().shape == (4, 5, 2)
+
+
+def test_quotients_of_sums_know_their_error() -> None:
+    rng = np.random.default_rng(10)
+    ratios = []
+    for _ in range(300):
+        merged, halves = Accumulation.empty(5, 4), [Accumulation.empty(5, 4) for _ in range(2)]
+        for index, spp in enumerate([1, 1, 2, 4, 8, 8, 8, 8]):
+            share = (1.0 + rng.normal(size=(4, 5, 1)) * 0.3 / np.sqrt(spp)).astype(np.float32)
+            noise = rng.normal(size=(4, 5, 3)) * 0.2 / np.sqrt(spp)
+            image = (2.0 * share + noise).astype(np.float32)
+            weight = np.full((4, 5), spp, np.float32)
+            chunk = Chunk.from_bytes(Chunk(index, spp, 0.5, image, weight, filtered=share[..., 0]).to_bytes())
+            merged.add(chunk)
+            halves[index % 2].add(chunk)
+        halves[0].merge(Accumulation.from_bytes(halves[1].to_bytes()))
+        assert np.allclose(halves[0].mean(), merged.mean(), rtol=1e-5)
+        assert np.allclose(halves[0].standard_error(), merged.standard_error(), rtol=1e-3)
+        ratios.append(((merged.mean() - 2.0) ** 2).mean() / (merged.standard_error() ** 2).mean())
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+    assert merged.weighted(0.5).mean() == pytest.approx(merged.mean(), rel=1e-6)

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from elps_core.scene.films import described, warnings
+from elps_core.errors import SceneRejected
+from elps_core.scene.films import check, described, warnings
 from elps_core.scene.markup import Node
 from elps_core.scene.summary import FilmSummary
 
@@ -46,3 +47,11 @@ def test_what_is_not_done_is_told(properties: dict[str, str], word: str) -> None
 def test_what_is_done_needs_no_words() -> None:
     assert warnings(None) == ()
     assert warnings(film(component_format="float16", file_format="openexr", sample_border="false")) == ()
+
+
+def test_bands_are_for_variants_with_spectra() -> None:
+    root = Node("scene", {}, 1, [Node("sensor", {"type": "perspective"}, 2, [film("specfilm")])])
+    check(root, "llvm_ad_spectral")
+    with pytest.raises(SceneRejected, match="choose llvm_ad_spectral"):
+        check(root, "llvm_ad_rgb")
+    check(Node("scene", {}, 1, [film()]), "llvm_ad_rgb")
