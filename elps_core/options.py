@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +24,7 @@ Spp = Annotated[int | None, typer.Option(help="Stop after this many samples per 
 Seconds = Annotated[float | None, typer.Option(help="Stop after this time, everything counted.")]
 Error = Annotated[float | None, typer.Option(help="Stop at this relative error.")]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Size in pixels; the scene's own if absent.")]
-MaxDepth = Annotated[int | None, typer.Option(help="Longest path in segments.")]
+MaxDepth = Annotated[int | None, typer.Option(help="Longest path in segments; -1: no limit.")]
 Sensor = Annotated[int | None, typer.Option(help="Which camera, from 0.")]
 Seed = Annotated[int | None, typer.Option(help="Random stream.")]
 Variant = Annotated[str | None, typer.Option(help="Mitsuba variant.")]
@@ -34,6 +35,37 @@ Defines = Annotated[
 Root = Annotated[
     Path | None, typer.Option(help="Folder whose files an .xml may name; its own folder if absent.", show_default=False)
 ]
+
+IMAGES = (".exr", ".png")
+"""Endings of the images that are written."""
+
+
+def check_output(path: Path, endings: tuple[str, ...] = IMAGES) -> None:
+    """Refuse an output that cannot be written, before anything is computed, and leave nothing behind.
+
+    ``endings`` are those that its name may have; any, where there are none.
+
+    Raises:
+        SettingsRejected: another ending than those allowed, a folder, or a place where no file can be made.
+    """
+    if endings and path.suffix.lower() not in endings:
+        raise SettingsRejected(f"the output's name must end in {' or '.join(endings)}")
+    try:
+        if path.is_dir():
+            raise SettingsRejected("the output is a folder: name a file in it")
+        if not path.parent.is_dir():
+            raise SettingsRejected("the folder of the output does not exist: create it first")
+        path.exists()  # Raises where the name itself is none
+    except (OSError, ValueError):
+        raise SettingsRejected("the output's name cannot be used: choose a shorter one") from None
+    trial = path.with_name(f".{secrets.token_hex(6)}.trial")
+    try:
+        trial.touch(exist_ok=False)
+        trial.unlink()
+    except OSError:
+        raise SettingsRejected(
+            "no file can be written into the folder of the output: check its permissions and the free space"
+        ) from None
 
 
 def size_from(text: str) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from elps_core.context.build import ContextBuilder
 from elps_core.context.store import GlobalContext
 from elps_core.estimate.film import Accumulation
 from elps_core.estimate.schedule import MEANTIME
-from elps_core.estimate.stats import MIN_CHUNKS
+from elps_core.estimate.stats import MIN_CHUNKS, ends_by_error
 from elps_core.renderer import Renderer
 from elps_core.scene.loader import LoadedScene
 from elps_core.selection.race import Allowance
@@ -143,10 +143,8 @@ class ProgressiveRender:
                 count = count if left > 0.0 else 0
             else:
                 count = min(count, int(RESERVE * left * last.spp / last.seconds))
-        if stop.error is not None:
-            error = merged.relative_error()
-            if error is not None and len(merged.chunks) >= MIN_CHUNKS and error <= stop.error:
-                return 0
+        if stop.error is not None and ends_by_error(merged.relative_error(), len(merged.chunks), stop.error):
+            return 0
         return count
 
     def _tell(self, merged: Accumulation) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -14,13 +14,18 @@ from elps_core.context.adjoint import density_of
 from elps_core.context.build import check_lights
 from elps_core.context.store import GlobalContext
 from elps_core.errors import ContextMismatch, RenderFailed, SettingsRejected
-from elps_core.estimate.film import Chunk
+from elps_core.estimate.film import RGBA, Chunk
 from elps_core.estimate.schedule import chunk_spp
 from elps_core.integrators import make
+from elps_core.integrators.alpha import AlphaFrames
+from elps_core.integrators.canvas import Canvas
 from elps_core.paths.stream import key_seed
 from elps_core.scene.loader import LoadedScene
+from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import Choice, choose, fit_candidates, plain_of
-from elps_core.settings import DEPTH_BASELINES, RenderSettings
+from elps_core.settings import DEPTH_BASELINES, MAX_DEPTH, RenderSettings
+
+_Image: TypeAlias = "NDArray[np.float32]"
 
 
 class Renderer:
@@ -42,6 +47,9 @@ class Renderer:
         self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
         """What renders frames by one of our own integrators; None for one of Mitsuba's."""
         self._baseline = self._mitsuba_integrator() if self.frames is None else None
+        film = scene.sensor.film()
+        self._canvas = Canvas(film, beyond=film.sample_border() and self.frames is None)
+        self._alpha: AlphaFrames | None = None
         self._spp = 0
 
     def _choose(self, context: GlobalContext | None) -> Choice:
@@ -72,7 +80,7 @@ class Renderer:
         name = self.settings.integrator[3:]
         description: dict[str, Any] = {"type": name}
         if name in DEPTH_BASELINES:
-            never = self.settings.max_depth + 1
+            never = self.settings.max_depth + 1  # Roulette is not asked for where there is no limit
             description["max_depth"] = self.settings.max_depth
             description["rr_depth"] = never if self.settings.roulette == "none" else self.settings.rr_depth
         try:
@@ -94,6 +102,7 @@ class Renderer:
         """
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
+        alpha: _Image | None = None
         if count != self._spp:
             # Dr.Jit keeps what it has freed, by size: of no use to larger arrays, which would begin with new pages.
             dr.flush_malloc_cache()
@@ -101,16 +110,42 @@ class Renderer:
         if self.frames is not None:
             frame = self.frames.render(count, (self.settings.seed, index))
             image, weight, statistics = np.array(frame.image), np.array(frame.weight), frame.statistics
+            filtered = None if frame.filtered is None else np.array(frame.filtered)
         else:
-            image = self._render_baseline(count, index)
-            weight, statistics = np.full(image.shape[:2], count, np.float32), {}
+            image, weight, filtered, alpha = self._render_baseline(count, index)
+            statistics = {}
+        channels = self._canvas.names
+        if self._canvas.has_alpha:
+            alpha = self._render_alpha(count, index) if alpha is None else alpha
+            image, channels = np.concatenate([image, alpha[..., None]], axis=-1), RGBA
         if not np.isfinite(image).all():
             raise RenderFailed("the image holds values that are not numbers: check the scene's materials and lights")
-        return Chunk(index, count, time.perf_counter() - begin, image, weight, statistics)
+        return Chunk(index, count, time.perf_counter() - begin, image, weight, statistics, channels, filtered)
 
-    def _render_baseline(self, spp: int, index: int) -> NDArray[np.float32]:
+    def _render_alpha(self, spp: int, index: int) -> _Image:
+        """The alpha channel with the samples of chunk ``index``, [height, width]."""
+        if self._alpha is None:
+            scene = self.scene
+            longest = min(self.settings.longest, MAX_DEPTH)
+            self._alpha = AlphaFrames(scene.scene, Camera(scene.sensor), self._canvas, longest)
+        return np.array(self._alpha.render(spp, (self.settings.seed, index)))
+
+    def _render_baseline(self, spp: int, index: int) -> tuple[_Image, _Image, _Image | None, _Image | None]:
+        """By an integrator of Mitsuba's: image, weight, what was filtered and alpha, the last two where there are any.
+
+        The film's sums are taken as they are: its own image is divided already, pixel by pixel.
+        """
         seed = key_seed(self.settings.seed, index) & 0xFFFFFFFF
-        scene, sensor = self.scene.scene, self.scene.sensor
-        image = mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
-        pixels = np.array(image, np.float32)
-        return np.ascontiguousarray(np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3])
+        scene, sensor, canvas = self.scene.scene, self.scene.sensor, self._canvas
+        mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
+        stored = np.array(sensor.film().develop(raw=True), np.float32)
+        sums, weight = stored[..., :-1], stored[..., -1]
+        if not weight.any():  # Light paths alone: the film holds radiance.
+            image = np.ascontiguousarray(sums[..., : canvas.channels])
+            return image, np.full(canvas.shape, spp, np.float32), None, None
+        by, rest = canvas.divisor(mi.Float(weight.ravel()), spp)
+        divisor = np.array(by, np.float32).reshape(canvas.shape)
+        filtered = None if rest is None else np.array(rest, np.float32).reshape(canvas.shape)
+        pixels = np.asarray(sums / np.maximum(divisor, np.finfo(np.float32).tiny)[..., None], np.float32)
+        alpha = pixels[..., canvas.channels] if canvas.has_alpha else None
+        return np.ascontiguousarray(pixels[..., : canvas.channels]), divisor, filtered, alpha

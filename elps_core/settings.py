@@ -27,6 +27,10 @@ HeuristicKind = Literal["balance", "power", "maximum", "cutoff"]
 
 MAX_DEPTH = 256
 """Longest path in segments. Walks store every light vertex, so memory grows with it."""
+UNLIMITED = -1
+"""What ``max_depth`` is where roulette alone ends paths, as Mitsuba has it."""
+ENDLESS = 2**32 - 1
+"""Segments that no path has: what depths are compared with where there is no limit."""
 MAX_PIXELS_SIDE = 16384
 """Largest film side in pixels that the settings accept; services set tighter limits."""
 
@@ -225,8 +229,10 @@ class RenderSettings(_Model):
     rr_depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] = 5
     """Path depth (segments) from which on Russian roulette may end a walk; where roulette by context pays for what it
     ends, the second one at the latest."""
-    max_depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] = 16
-    """Longest path in segments, as Mitsuba counts: 1 is directly visible emission only."""
+    max_depth: Annotated[int, Field(ge=UNLIMITED, le=MAX_DEPTH)] = 16
+    """Longest path in segments, as Mitsuba counts: 1 is directly visible emission only; -1 is no limit, so that
+    roulette alone ends paths. Where light paths are kept to be joined, or chains have a number for every vertex, paths
+    of more than 256 segments are left out then."""
     heuristic: HeuristicKind = "power"
     """How strategies that can make the same path share its light [thesis 3.7.1]."""
     path: PathSettings = PathSettings()
@@ -262,9 +268,13 @@ class RenderSettings(_Model):
             raise ValueError(
                 f"unknown integrator{_similar(self.integrator, INTEGRATORS)}: choose one of {', '.join(INTEGRATORS)}"
             )
+        if self.max_depth == 0:
+            raise ValueError("max_depth: give 1 or more segments, or -1 for no limit")
+        if self.max_depth == UNLIMITED:
+            self._check_unlimited()
+        most = (MAX_DEPTH if self.max_depth == UNLIMITED else self.max_depth) + 1
         for s, t in sorted(self.bdpt.pairs() or ()) if self.integrator == "bdpt" else ():
-            if (s, t) != VISIBLE and not _VERTICES <= s + t <= self.max_depth + 1:
-                most = self.max_depth + 1
+            if (s, t) != VISIBLE and not _VERTICES <= s + t <= most:
                 raise ValueError(
                     f"bdpt.strategies: '{s},{t}' is none: s + t is {_VERTICES} to {most} (max_depth + 1) vertices, "
                     f"or {VISIBLE[0]},{VISIBLE[1]} for light that is seen directly"
@@ -279,12 +289,31 @@ class RenderSettings(_Model):
             raise ValueError("give both width and height, or neither")
         return self
 
+    def _check_unlimited(self) -> None:
+        """Refuse what has no end where there is no greatest depth."""
+        if self.roulette == "none" and self.integrator != "auto":
+            raise ValueError("roulette: without any, paths need a limit: give max_depth, or choose 'throughput'")
+        if self.heuristic == "cutoff" and not self.is_baseline:
+            raise ValueError("heuristic: 'cutoff' keeps a number for every vertex: give max_depth, or choose 'power'")
+
     def _check_auto(self) -> None:
         """Refuse settings that ``auto`` would not follow, because it chooses them."""
         fields = type(self).model_fields
         for name in ("direction_sampling", "roulette", "path", "light", "bdpt", "pssmlt"):
             if getattr(self, name) != fields[name].default:
                 raise ValueError(f"{name}: 'auto' chooses it: name an integrator, for example bdpt")
+
+    @property
+    def longest(self) -> int:
+        """Segments of the longest path that is rendered; :data:`ENDLESS` where there is no limit."""
+        if self.max_depth != UNLIMITED:
+            return self.max_depth
+        return MAX_DEPTH if self.keeps_vertices else ENDLESS
+
+    @property
+    def keeps_vertices(self) -> bool:
+        """Whether the integrator needs memory for each vertex of a path."""
+        return self.integrator == "pssmlt" or (self.integrator == "bdpt" and self.bdpt.joins)
 
     @property
     def is_baseline(self) -> bool:

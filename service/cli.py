@@ -23,7 +23,9 @@ PORT = 8000
 DATA = Path("~/.local/share/elps")
 
 Url = Annotated[str, typer.Option("--url", envvar="ELPS_URL", help="Where the service listens.")]
-Output = Annotated[Path | None, typer.Option("-o", "--output", help="Wait for the end and save the image here (EXR).")]
+Output = Annotated[
+    Path | None, typer.Option("-o", "--output", help="Wait for the end and save the image: .exr or .png.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -86,6 +88,8 @@ def submit(
     }
     settings = options.settings_from(given, size, assignments)
     stop, defines = options.stop_from(spp, seconds, error), options.defines_from(define)
+    if output is not None:
+        options.check_output(output)
     with Client(url) as client, tempfile.TemporaryDirectory(prefix="elps-submit-") as folder:
         record = client.upload(_bundle(scene, Path(folder), root, defines))
         packed = scene.suffix.lower() == ".xml"  # Its parameters are put in
@@ -106,6 +110,8 @@ def watch(
     output: Output = None,
 ) -> None:
     """Show the progress of a job until it has ended."""
+    if output is not None:
+        options.check_output(output)
     ended = _watch(url, job, output)
     _warn(ended.warnings)
     _exit(ended)
@@ -134,9 +140,11 @@ def _watch(url: str, job_id: str, output: Path | None) -> Job:
         except KeyboardInterrupt:
             console.print(f"the job goes on: see it again with 'elps watch {job_id}'", highlight=False)
             raise
-        image = client.image(job_id) if output is not None else None
+        image = None
+        if output is not None and job.image_revision:
+            image = client.file(f"/v1/jobs/{job_id}/image{output.suffix.lower()}")
     if output is not None and image is not None:
-        output.write_bytes(image[1])
+        output.write_bytes(image)
         console.print(f"saved {output}", highlight=False, markup=False)
     return job
 

@@ -11,7 +11,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from elps_core.estimate.schedule import MEANTIME
-from elps_core.estimate.stats import MIN_CHUNKS
+from elps_core.estimate.stats import ends_by_error
 from elps_core.settings import PREPARATION
 from worker.models import FINAL_STATES, ContextState, Job
 from worker.state import JobEntry
@@ -177,8 +177,7 @@ def _reached(entry: JobEntry, now: float) -> bool:
     """Whether seconds or error are met; samples are a set of chunks, see :func:`_planned`."""
     job, stop = entry.job, entry.job.stop
     seconds = stop.seconds is not None and job.started is not None and now - job.started >= stop.seconds
-    known = job.relative_error is not None and len(entry.merged) >= MIN_CHUNKS
-    error = stop.error is not None and known and (job.relative_error or 0.0) <= stop.error
+    error = stop.error is not None and ends_by_error(job.relative_error, len(entry.merged), stop.error)
     return seconds or error
 
 

@@ -20,7 +20,8 @@ from redis.exceptions import RedisError
 
 from elps_core.context.store import load
 from elps_core.errors import ElpsError, SceneRejected, SettingsRejected
-from elps_core.io.exr import read_exr
+from elps_core.io.exr import Part, read_exr
+from elps_core.io.formats import shown, shown_error
 from elps_core.io.result import ERROR_PART, IMAGE_PART
 from elps_core.scene import reach
 from elps_core.scene.bundle import is_archive
@@ -289,15 +290,29 @@ class Farm:
         return None if data is None else Image(entry.job.image_revision, entry.image_key, data, entry.image_samples)
 
     def pixels(self, id: str) -> tuple[int, NDArray[np.float32], NDArray[np.float32]] | None:  # noqa: A002
-        """(revision, mean [H, W, C], standard error [H, W, C]) of the newest published image, linear."""
+        """(revision, mean [H, W, 3], standard error [H, W, 3]) of the newest image, linear RGB, to look at."""
+        published = self._parts_of_image(id)
+        if published is None:
+            return None
+        revision, mean, error = published
+        return revision, np.asarray(shown(mean), np.float32), np.asarray(shown_error(error), np.float32)
+
+    def error_of_image(self, id: str) -> tuple[int, Part] | None:  # noqa: A002
+        """(revision, standard error) of the newest published image, in its own channels."""
+        published = self._parts_of_image(id)
+        return None if published is None else (published[0], published[2])
+
+    def _parts_of_image(self, id: str) -> tuple[int, Part, Part] | None:  # noqa: A002
+        """(revision, mean, standard error) of the newest published image."""
         image = self.image(id)
         if image is None:
             return None
         with tempfile.TemporaryDirectory(prefix="elps-image-") as folder:
             path = Path(folder) / "image.exr"
             path.write_bytes(image.data)
-            parts, _ = read_exr(path)
-        return image.revision, parts[IMAGE_PART], parts[ERROR_PART]
+            parts, attributes = read_exr(path)
+        channels = tuple(str(attributes["channels"]).split(","))
+        return image.revision, Part(parts[IMAGE_PART], channels), Part(parts[ERROR_PART], channels)
 
     # Contexts
 

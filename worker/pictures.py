@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from elps_core.io.exr import write_exr
+from elps_core.io.exr import Part, write_exr
 from elps_core.io.preview import adjoint_to_png, to_png
 from worker.farm import Farm
 
@@ -39,15 +40,15 @@ def preview_png(farm: Farm, job: str, exposure: float, tone: Tone) -> tuple[int,
     if pixels is None:
         return None
     revision, mean, _ = pixels
-    return revision, to_png(_rgb(mean), exposure, tone)
+    return revision, to_png(mean, exposure, tone)
 
 
 def error_exr(farm: Farm, job: str) -> tuple[int, bytes] | None:
     """Revision and EXR of the standard error per pixel, in the unit of the image; None without an image."""
-    pixels = farm.pixels(job)
-    if pixels is None:
+    found = farm.error_of_image(job)
+    if found is None:
         return None
-    revision, _, error = pixels
+    revision, error = found
     return revision, _exr({"standard error": error}, {"job": job, "revision": revision})
 
 
@@ -81,10 +82,6 @@ def adjoint_png(farm: Farm, context: str) -> bytes | None:
     return None if adjoint is None else adjoint_to_png(adjoint)
 
 
-def _rgb(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image
-
-
 def _false_colours(relative: NDArray[np.float32]) -> NDArray[np.float32]:
     low, high = ERROR_RANGE
     position = np.log(np.clip(relative, low, high) / low) / np.log(high / low)
@@ -93,7 +90,7 @@ def _false_colours(relative: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.stack(channels, axis=2).astype(np.float32)
 
 
-def _exr(parts: dict[str, NDArray[np.float32]], attributes: dict[str, str | int | float]) -> bytes:
+def _exr(parts: Mapping[str, Part | NDArray[np.float32]], attributes: dict[str, str | int | float]) -> bytes:
     with tempfile.TemporaryDirectory(prefix="elps-exr-") as folder:
         path = Path(folder) / "out.exr"
         write_exr(path, parts, attributes)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from elps_core.estimate.film import Accumulation
 from elps_core.io.result import ranges, write_result
-from worker.models import Job
+from elps_core.scene.summary import FilmSummary, SceneSummary
+from worker.models import Job, SceneRecord
 from worker.store import Store, name
 
 
@@ -33,6 +34,16 @@ def publish(store: Store, job: Job, merged: Accumulation) -> str:
                 render=job.digest,
                 context=job.context_digest,
                 unreachable=job.warnings,
+                film=_film(store, job),
             )
             store.put(key, path.read_bytes())
     return key
+
+
+def _film(store: Store, job: Job) -> FilmSummary | None:
+    """What the camera's film asks of the file."""
+    record = store.get(f"scenes/{name(job.scene)}.json")
+    if record is None:
+        return None
+    summary = SceneSummary.model_validate(SceneRecord.model_validate_json(record).summary)
+    return summary.sensors[job.settings.sensor].film

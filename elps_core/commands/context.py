@@ -61,9 +61,7 @@ def build(
     }
     settings: RenderSettings = options.settings_from(given, size, assignments)
     defines = options.defines_from(define)
-    _check_folder(output)
-    if output.is_dir():
-        raise SettingsRejected("the output is a folder: give a file")
+    options.check_output(output, ())
     # Without tables, so that renders which want none take the file for theirs.
     wanted = settings.context if settings.context.regions else settings.context.without_tables()
 

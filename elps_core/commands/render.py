@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from elps_core import options
-from elps_core.errors import SettingsRejected
 from elps_core.settings import RenderSettings, stop_or_default, suited, with_file_defaults
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 def render(
     scene: options.Scene,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Where to save the image (EXR).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Where to save the image: .exr, or .png to look at.")],
     preset: options.Preset = None,
     integrator: options.Integrator = None,
     light_sampling: options.LightSampling = None,
@@ -60,13 +59,17 @@ def render(
     }
     asked, defines = options.stop_from(spp, seconds, error), options.defines_from(define)
     settings = options.settings_from(given, size, assignments)
-    if not output.parent.is_dir():
-        raise SettingsRejected("the folder of the output does not exist: create it first")
+    options.check_output(output)
+    if context is not None:
+        options.check_output(context, ())
 
     from elps_core import device
 
     device.use(settings.variant)
     from elps_core.context.store import save
+    from elps_core.io.exr import Part
+    from elps_core.io.formats import shown
+    from elps_core.io.preview import write_png
     from elps_core.io.result import write_result
     from elps_core.progressive import ProgressiveRender
     from elps_core.scene import reach
@@ -100,15 +103,19 @@ def render(
         elif context is not None and rendered.context is None:
             console.print("warning: the image was ready before a context was: none is saved", highlight=False)
     merged, renderer, found = rendered.merged, rendered.renderer, rendered.context
-    write_result(
-        output,
-        merged,
-        settings,
-        scene=loaded.digest,
-        render=render_digest(loaded.digest, settings, loaded.size),
-        context=found.digest if found else None,
-        unreachable=unreachable,
-    )
+    if output.suffix.lower() == ".png":
+        write_png(output, shown(Part(merged.mean(), merged.channels)))
+    else:
+        write_result(
+            output,
+            merged,
+            settings,
+            scene=loaded.digest,
+            render=render_digest(loaded.digest, settings, loaded.size),
+            context=found.digest if found else None,
+            unreachable=unreachable,
+            film=loaded.summary.sensors[loaded.sensor_index].film,
+        )
     total = time.perf_counter() - begin
     on_the_host = total - loading - kernels.compiling - kernels.running
     figures = {
@@ -130,10 +137,10 @@ def render(
     for line in renderer.choice.lines():
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     relative = figures["relative_error"]
-    shown = "unknown" if relative is None else f"{100 * float(str(relative)):.2f}%"
+    accuracy = "unknown" if relative is None else f"{100 * float(str(relative)):.2f}%"
     console.print(
         f"{output}: {merged.spp} samples per pixel in {total:.1f} s (preparing {rendered.preparing:.1f} s, "
-        f"compilation {kernels.compiling:.1f} s), relative error {shown}",
+        f"compilation {kernels.compiling:.1f} s), relative error {accuracy}",
         highlight=False,
         markup=False,
         soft_wrap=True,
@@ -142,7 +149,7 @@ def render(
         spread = "" if error is None else f" (standard error {error:.2g})"
         console.print(f"{name.replace('_', ' ')} {mean:.4g}{spread}", highlight=False, markup=False)
     if as_json:
-        typer.echo(json.dumps(figures))
+        typer.echo(json.dumps(figures, allow_nan=False))
 
 
 def _saved(settings: RenderSettings, path: Path | None, progress: Progress) -> GlobalContext | None:

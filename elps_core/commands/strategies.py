@@ -97,13 +97,16 @@ def strategies(
 
 
 def _check(settings: RenderSettings, output: Path, exr: Path | None) -> None:
-    if settings.max_depth > MAX_PICTURE_DEPTH:
+    if not 0 < settings.max_depth <= MAX_PICTURE_DEPTH:
         raise SettingsRejected(f"max_depth: at most {MAX_PICTURE_DEPTH} rows make a picture")
     if settings.integrator != "bdpt" or settings.bdpt.pairs() is not None:
         raise SettingsRejected("each strategy of bdpt is shown: leave integrator and bdpt.strategies as they are")
-    for file in (output, exr):
-        if file is not None and not file.parent.is_dir():
-            raise SettingsRejected("the folder of the output does not exist: create it first")
+    if exr is not None:
+        options.check_output(exr, (".exr",))
+    if output.suffix.lower() == ".png":
+        options.check_output(output, (".png",))
+    elif not output.parent.is_dir():
+        raise SettingsRejected("the folder of the output does not exist: create it first")
     if output.exists() and output.suffix.lower() != ".png" and not output.is_dir():
         raise SettingsRejected("the output is a file of another kind: give a .png or a folder")
 
@@ -163,6 +166,6 @@ def _images(
     images = {}
     for s, t in chosen:
         alone = with_overrides(settings, {"bdpt.strategies": f"{s},{t}", "bdpt.weighted": weighted})
-        images[s, t] = Renderer(scene, alone, context).render_chunk(0, spp).image
+        images[s, t] = Renderer(scene, alone, context).render_chunk(0, spp).image[..., :3]
         progress.update(task, advance=1, description=f"rendering {s}, {t}")
     return images

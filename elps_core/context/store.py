@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,7 +194,7 @@ class GlobalContext:
 
 def save(context: GlobalContext, path: Path) -> None:
     """Write ``context`` to ``path``, whole or not at all."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{secrets.token_hex(6)}.partial")
     try:
         partial.write_bytes(context.to_bytes())
         partial.replace(path)

@@ -16,6 +16,17 @@ from elps_core.estimate.stats import relative_error
 
 Image = NDArray[np.float32]
 
+RGB = ("R", "G", "B")
+"""Channels of an image as a rule: linear, with the primaries of Rec. 709."""
+RGBA = (*RGB, "A")
+"""The same, and how much of each pixel is covered: colours hold that part already."""
+
+MANY_SAMPLES = 8
+"""Samples per pixel from which on the weights of a filter with lobes add up to a positive number. The sum over one
+random sample in each pixel has a standard deviation of half of its mean at most ('lanczos', 'catmullrom',
+'mitchell')."""
+LEAST_SHARE = 0.25
+"""What they are taken for at least, over their mean: over so many samples it is four standard deviations away."""
 _STATISTIC = "statistic "
 """Prefix of the names of statistics in a record."""
 
@@ -39,17 +50,26 @@ class Chunk:
     seconds: float
     """Time that rendering it took."""
     image: Image
-    """Mean radiance, linear RGB, float32 [height, width, 3]."""
+    """Mean radiance, float32 [height, width, channels]."""
     weight: Image
     """Weight of each pixel's mean, float32 [height, width]: samples times the filter's weight."""
     statistics: Mapping[str, float] = field(default_factory=dict)
     """Numbers that the algorithm says of its work, by name; each is a mean over the chunk's samples."""
+    channels: tuple[str, ...] = RGB
+    """Names: :data:`RGB`, :data:`RGBA`, or those of the film's bands."""
+    filtered: Image | None = None
+    """Of filters whose weights are negative in places: the sum of the samples' weights over ``weight``, [height,
+    width], 1 on average. Many chunks' images are divided by their mean of it: see :class:`Accumulation`."""
 
     def to_bytes(self) -> bytes:
         """The chunk as one safetensors record."""
         facts = np.array([self.index, self.spp, self.seconds], np.float64)
         statistics = {_STATISTIC + name: np.array([value], np.float64) for name, value in self.statistics.items()}
-        return save_tensors({"facts": facts, "image": self.image, "weight": self.weight, **statistics})
+        record: dict[str, NDArray[Any]] = {"facts": facts, "image": self.image, "weight": self.weight, **statistics}
+        record["channels"] = _packed(self.channels)
+        if self.filtered is not None:
+            record["filtered"] = self.filtered
+        return save_tensors(record)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Chunk:
@@ -57,12 +77,21 @@ class Chunk:
         record = load_tensors(data)
         index, spp, seconds = record["facts"]
         statistics = {name: float(values[0]) for name, values in _statistics_in(record).items()}
-        return cls(int(index), int(spp), float(seconds), record["image"], record["weight"], statistics)
+        image, channels = record["image"], _unpacked(record["channels"])
+        filtered = record.get("filtered")
+        return cls(int(index), int(spp), float(seconds), image, record["weight"], statistics, channels, filtered)
 
 
 @dataclass
 class Accumulation:
-    """The weighted mean of independent chunks, and what their scatter says of its error."""
+    """The weighted mean of independent chunks, and what their scatter says of its error.
+
+    While it is empty it has the channels of a colour image; then those of its chunks, which must agree.
+
+    Chunks y with weights w may say what their filter's weights x added up to (:attr:`Chunk.filtered`). From
+    :data:`MANY_SAMPLES` on the image is then the quotient sum w y / sum w x, which is without noise where radiance is
+    even, and right for many samples; before, x is taken for 1, its mean.
+    """
 
     width: int
     height: int
@@ -70,17 +99,25 @@ class Accumulation:
     """Indices of the chunks it holds."""
     spp: int = 0
     seconds: float = 0.0
+    channels: tuple[str, ...] = RGB
     _weight: NDArray[np.float64] = field(init=False, repr=False)
     _sum: NDArray[np.float64] = field(init=False, repr=False)
     _square: NDArray[np.float64] = field(init=False, repr=False)
+    _filtered: NDArray[np.float64] | None = field(init=False, repr=False, default=None)
+    """Sums of w x and w x^2, and of w x y for each channel, in this order; None where chunks have none."""
     _statistics: dict[str, list[tuple[float, float]]] = field(init=False, repr=False, default_factory=dict)
     """(samples, value) of each chunk, by name: few numbers beside its image."""
 
     def __post_init__(self) -> None:
         """Start from an empty image."""
+        self._begin(self.channels)
+
+    def _begin(self, channels: tuple[str, ...]) -> None:
+        self.channels = channels
         self._weight = np.zeros((self.height, self.width, 1))
-        self._sum = np.zeros((self.height, self.width, 3))
-        self._square = np.zeros((self.height, self.width, 3))
+        self._sum = np.zeros((self.height, self.width, len(channels)))
+        self._square = np.zeros((self.height, self.width, len(channels)))
+        self._filtered = None
 
     @classmethod
     def empty(cls, width: int, height: int) -> Accumulation:
@@ -91,9 +128,11 @@ class Accumulation:
         """Add a chunk, whose samples count ``factor`` as much as others: it must not depend on the samples.
 
         Raises:
-            ValueError: the chunk's size differs, or its index is already in.
+            ValueError: the chunk's size or channels differ, or its index is already in.
         """
-        if chunk.image.shape != self._sum.shape:
+        if not self.chunks:
+            self._begin(chunk.channels)
+        if chunk.channels != self.channels or chunk.image.shape != self._sum.shape:
             raise ValueError("the chunk has another size")
         if chunk.index in self.chunks:
             raise ValueError(f"chunk {chunk.index} is already in")
@@ -102,6 +141,10 @@ class Accumulation:
         self._weight += weight
         self._sum += weight * image
         self._square += weight * image * image
+        if chunk.filtered is not None:
+            share = chunk.filtered.astype(np.float64)[..., None]
+            parts = np.concatenate([weight * share, weight * share * share, weight * share * image], axis=-1)
+            self._filtered = parts if self._filtered is None else self._filtered + parts
         self.chunks.add(chunk.index)
         self.spp += chunk.spp
         self.seconds += chunk.seconds
@@ -121,6 +164,7 @@ class Accumulation:
         """
         other = replace(self, chunks=set(self.chunks))
         other._weight, other._sum, other._square = (factor * part for part in (self._weight, self._sum, self._square))
+        other._filtered = None if self._filtered is None else factor * self._filtered
         other._statistics = {name: list(values) for name, values in self._statistics.items()}
         return other
 
@@ -128,13 +172,20 @@ class Accumulation:
         """Add all that ``other`` holds.
 
         Raises:
-            ValueError: sizes differ, or both hold the same chunk.
+            ValueError: sizes or channels differ, or both hold the same chunk.
         """
-        if other._sum.shape != self._sum.shape or self.chunks & other.chunks:
-            raise ValueError("the accumulations differ in size or share chunks")
+        if not other.chunks:
+            return
+        if not self.chunks:
+            self._begin(other.channels)
+        alike = other.channels == self.channels and other._sum.shape == self._sum.shape
+        if not alike or self.chunks & other.chunks:
+            raise ValueError("the accumulations differ in size or channels, or share chunks")
         self._weight += other._weight
         self._sum += other._sum
         self._square += other._square
+        if other._filtered is not None:
+            self._filtered = other._filtered + (0.0 if self._filtered is None else self._filtered)
         self.chunks |= other.chunks
         self.spp += other.spp
         self.seconds += other.seconds
@@ -142,7 +193,7 @@ class Accumulation:
             self._statistics.setdefault(name, []).extend(values)
 
     def mean(self) -> Image:
-        """The image, linear RGB, float32 [height, width, 3]; zeros where nothing was sampled."""
+        """The image, float32 [height, width, channels]; zeros where nothing was sampled."""
         return self._mean().astype(np.float32)
 
     def standard_error(self) -> Image:
@@ -153,14 +204,21 @@ class Accumulation:
         count = len(self.chunks)
         if count < 2:
             return np.zeros(self._sum.shape, np.float32)
-        mean = self._mean()
-        spread = np.maximum(self._square - self._weight * mean * mean, 0.0)
-        variance = _divide(spread, self._weight * (count - 1))
-        return np.sqrt(variance).astype(np.float32)
+        mean, share = self._mean(), self._share()
+        if self._filtered is None or share is None:
+            spread = self._square - self._weight * mean * mean
+        else:  # Of y - mean x
+            spread = self._square - 2.0 * mean * self._filtered[..., 2:] + mean * mean * self._filtered[..., 1:2]
+        variance = _divide(np.maximum(spread, 0.0), self._weight * (count - 1))
+        error = np.sqrt(variance) if share is None else np.sqrt(variance) / share
+        return np.asarray(error, np.float32)
 
     def relative_error(self) -> float | None:
-        """See :func:`elps_core.estimate.stats.relative_error`; None with fewer than two chunks."""
-        return relative_error(self.mean(), self.standard_error()) if len(self.chunks) >= 2 else None
+        """Of the light, see :func:`elps_core.estimate.stats.relative_error`; None with fewer than two chunks."""
+        if len(self.chunks) < 2:
+            return None
+        light = slice(len(RGB) if self.channels == RGBA else None)
+        return relative_error(self.mean()[..., light], self.standard_error()[..., light])
 
     def statistics(self) -> dict[str, Statistic]:
         """What the algorithm says of its work, by name.
@@ -180,13 +238,22 @@ class Accumulation:
         return result
 
     def _mean(self) -> NDArray[np.float64]:
-        return _divide(self._sum, self._weight)
+        share = self._share()
+        return _divide(self._sum, self._weight if share is None else self._weight * share)
+
+    def _share(self) -> NDArray[np.float64] | None:
+        """What the filter's weights added up to, over what is expected of them; None where that is taken for 1."""
+        if self._filtered is None or self.spp < MANY_SAMPLES:
+            return None
+        return np.maximum(_divide(self._filtered[..., :1], self._weight), LEAST_SHARE)
 
     def to_bytes(self) -> bytes:
         """The accumulation as one safetensors record."""
         record: dict[str, NDArray[Any]] = {
             "facts": np.array([self.width, self.height, self.spp, self.seconds], np.float64),
             "chunks": np.array(sorted(self.chunks), np.int64),
+            "channels": _packed(self.channels),
+            **({} if self._filtered is None else {"filtered": self._filtered}),
             "weight": self._weight,
             "sum": self._sum,
             "square": self._square,
@@ -199,13 +266,23 @@ class Accumulation:
         """The inverse of :meth:`to_bytes`."""
         record = load_tensors(data)
         width, height, spp, seconds = record["facts"]
-        result = cls(int(width), int(height), {int(i) for i in record["chunks"]}, int(spp), float(seconds))
+        chunks, channels = {int(i) for i in record["chunks"]}, _unpacked(record["channels"])
+        result = cls(int(width), int(height), chunks, int(spp), float(seconds), channels)
         result._weight, result._sum, result._square = record["weight"], record["sum"], record["square"]
+        result._filtered = record.get("filtered")
         result._statistics = {
             name: [(float(weight), float(value)) for weight, value in values]
             for name, values in _statistics_in(record).items()
         }
         return result
+
+
+def _packed(names: tuple[str, ...]) -> NDArray[np.uint8]:
+    return np.frombuffer("\n".join(names).encode(), np.uint8)
+
+
+def _unpacked(names: NDArray[Any]) -> tuple[str, ...]:
+    return tuple(names.tobytes().decode().split("\n"))
 
 
 def _statistics_in(record: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.integrators.bdpt import Splat
-from elps_core.integrators.frame import to_rgb
+from elps_core.integrators.canvas import to_rgb
 from elps_core.paths.primary import PrimaryStream, commit, stream
 from elps_core.paths.stream import ChanceStream, Key, Stream, generator
 from elps_core.scene.spectrum import luminance

@@ -77,7 +77,7 @@ def paths_of(
         scene,
         camera,
         lights,
-        max_depth=settings.max_depth,
+        max_depth=settings.longest,
         roulette=RouletteRule(settings.roulette, settings.rr_depth, pays),
         strategies=strategies,
         heuristic=settings.heuristic,

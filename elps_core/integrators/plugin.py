@@ -5,7 +5,7 @@
 ====================  =========  =====================================================================
 property              default    meaning
 ====================  =========  =====================================================================
-``max_depth``         16         longest path in segments, as in Mitsuba; 1 is visible emission only
+``max_depth``         16         longest path in segments, as in Mitsuba; 1 is visible emission only, -1 is no limit
 ``rr_depth``          5          depth from which on Russian roulette may end a walk
 ``roulette``          albedo     ``albedo``, ``throughput`` or ``none``
 ``light_sampling``    power      ``uniform``, ``power`` or ``adjoint`` (measures the scene when first used)
@@ -27,7 +27,7 @@ from elps_core.integrators import make
 from elps_core.sampling.start import StartDensity, power_table, uniform_table
 from elps_core.scene.emission import Emission
 from elps_core.scene.sensors import Camera
-from elps_core.settings import BUILT_INTEGRATORS, ContextSettings, RenderSettings, first_problem
+from elps_core.settings import BUILT_INTEGRATORS, MAX_DEPTH, ContextSettings, RenderSettings, first_problem
 
 _registered: set[str] = set()
 
@@ -99,7 +99,7 @@ def _lights(scene: mi.Scene, sensor: mi.Sensor, settings: RenderSettings) -> Sta
     emission = Emission(scene)
     table = uniform_table(emission) if settings.light_sampling == "uniform" else power_table(emission)
     if settings.light_sampling == "adjoint":
-        options = ContextSettings(max_depth=max(2, settings.max_depth))
+        options = ContextSettings(max_depth=min(max(2, settings.longest), MAX_DEPTH))
         measurement = adjoint.AdjointMeasurement(scene, Camera(sensor), emission, options)
         for _ in range(adjoint.STEPS):
             measurement.step()

@@ -76,23 +76,24 @@ class MetropolisFrames:
 
     def render(self, spp: int, key: tuple[int, ...]) -> Frame:
         """``spp`` mutations per pixel by a set of chains of its own, named by ``key``."""
-        film = self._direct
-        shape = (int(film.size.y), int(film.size.x))
-        image = dr.zeros(mi.TensorXf, (*shape, 3))
+        canvas = self._direct.canvas
+        image, weight = dr.zeros(mi.TensorXf, (*canvas.shape, 3)), mi.TensorXf(canvas.coverage(), canvas.shape)
+        filtered: mi.TensorXf | None = None
         if self._visible:
-            image = film.render(-(-spp // DIRECT_SHARE), (*key, 0)).image
+            samples = -(-spp // DIRECT_SHARE)
+            seen = self._direct.render(samples, (*key, 0))
+            # Frames are merged as those of eye paths: by weights that do not depend on what the chains find.
+            image, weight, filtered = seen.image, seen.weight / samples, seen.filtered
         if self._chains:
-            block = mi.ImageBlock(film.size, mi.ScalarPoint2i(0, 0), 4, film.rfilter)
+            block = canvas.block(4)
 
             def put(where: mi.Point2f, rgb: mi.Color3f, active: mi.Bool) -> None:
                 # Four channels travel as one packet, three would not.
                 block.put(where, [*rgb, mi.Float(0.0)], active)
                 dr.eval(block.tensor())
 
-            self.statistics = self._chains.run(film.pixels * spp, (*key, 1), put)
-            entry = dr.arange(mi.UInt32, film.pixels * 3)
-            pixel = entry // 3
-            shown = dr.gather(mi.Float, block.tensor().array, pixel * 4 + (entry - pixel * 3))
-            shown = shown * (film.pixels / dr.gather(mi.Float, film.coverage(), pixel))
-            image = image + mi.TensorXf(shown, (*shape, 3))
-        return Frame(image, mi.TensorXf(film.coverage() * float(spp), shape), self.statistics)
+            self.statistics = self._chains.run(canvas.pixels * spp, (*key, 1), put)
+            # What the chains put adds up to the film's mean, and not to a sum over pixels.
+            shown = canvas.spread(block, 1.0 / canvas.pixels, 3, None if filtered is None else filtered.array)
+            image = image + mi.TensorXf(shown, (*canvas.shape, 3))
+        return Frame(image, weight * float(spp), self.statistics, filtered)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,13 @@ COMPRESSION = "zip"
 PREFIX = "elps:"
 """Namespace of our attributes."""
 CHANNELS = {1: ("Y",), 3: ("R", "G", "B")}
+"""Names of the channels of parts that do not name them, by their number."""
+ORDER = ("R", "G", "B", "X", "Y", "Z", "A")
+"""In which channels are read that others write in the order of the alphabet; other names keep the file's order."""
+REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Chromaticities of red, green, blue and white, x and y of each."""
+MOST_HALF = 65504.0
+"""The greatest number of 16 bits."""
 
 Attribute = str | int | float
 
@@ -25,8 +34,20 @@ class ImageUnwritable(ElpsError):
     """An image file cannot be written: a full disk, a missing folder, no permission."""
 
 
-def write_exr(path: Path, parts: dict[str, NDArray[Any]], attributes: dict[str, Attribute]) -> None:
-    """Write float32 images [height, width] or [height, width, 3] as the named parts of one file.
+@dataclass(frozen=True)
+class Part:
+    """An image of a file that holds several."""
+
+    pixels: NDArray[Any]
+    """[height, width, channels], or [height, width]."""
+    channels: tuple[str, ...] = ()
+    """Names; without any those of grey or of colours."""
+    half: bool = False
+    """Whether numbers have 16 bits, where they can hold every one of them: else they have 32."""
+
+
+def write_exr(path: Path, parts: Mapping[str, Part | NDArray[Any]], attributes: dict[str, Attribute]) -> None:
+    """Write images as the named parts of one file; an array [height, width] or [height, width, 3] is a whole part.
 
     ``attributes`` go into every part under the prefix ``elps:``. The file appears whole or not at
     all: OpenImageIO leaves an empty one until it is closed.
@@ -34,9 +55,10 @@ def write_exr(path: Path, parts: dict[str, NDArray[Any]], attributes: dict[str, 
     Raises:
         ImageUnwritable: the file cannot be written there.
     """
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial.exr")
-    images = {name: _as_3d(pixels) for name, pixels in parts.items()}
-    specs = [_spec(name, image, attributes) for name, image in images.items()]
+    partial = partial_of(path)
+    named = {name: part if isinstance(part, Part) else Part(part) for name, part in parts.items()}
+    images = {name: _as_3d(part.pixels) for name, part in named.items()}
+    specs = [_spec(name, named[name], image, attributes) for name, image in images.items()]
     try:
         output = oiio.ImageOutput.create("exr")
         if output is None or not output.open(str(partial), tuple(specs)):
@@ -58,8 +80,15 @@ def write_exr(path: Path, parts: dict[str, NDArray[Any]], attributes: dict[str, 
         partial.unlink(missing_ok=True)
 
 
+def partial_of(path: Path) -> Path:
+    """A name beside ``path`` for a file that is not whole yet, however long that one's is."""
+    return path.with_name(f".{secrets.token_hex(6)}.partial{path.suffix}")
+
+
 def read_exr(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Attribute]]:
     """The parts of an EXR by name, float32 [height, width, channels], and its ``elps:`` attributes.
+
+    Channels come as red, green, blue or X, Y, Z, and alpha after them; others in the file's order.
 
     Raises:
         ElpsError: not an image that OpenImageIO can read.
@@ -77,7 +106,9 @@ def read_exr(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Attr
             pixels = source.read_image(number, 0, 0, spec.nchannels, "float")
             if pixels is None:
                 raise ElpsError("the image file is damaged")
-            parts[spec.getattribute("oiio:subimagename") or f"part{number}"] = np.asarray(pixels, np.float32)
+            order = sorted(range(spec.nchannels), key=lambda k: _place(spec.channelnames[k]))
+            name = spec.getattribute("oiio:subimagename") or f"part{number}"
+            parts[name] = np.ascontiguousarray(np.asarray(pixels, np.float32)[..., order])
             for entry in spec.extra_attribs:
                 if entry.name.startswith(PREFIX):
                     value = entry.value
@@ -90,18 +121,28 @@ def read_exr(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Attr
     return parts, attributes
 
 
+def _place(channel: str) -> int:
+    return ORDER.index(channel) if channel in ORDER else len(ORDER)
+
+
 def _as_3d(pixels: NDArray[Any]) -> NDArray[np.float32]:
     image = np.ascontiguousarray(pixels, np.float32)
     return image[..., None] if image.ndim == 2 else image
 
 
-def _spec(name: str, image: NDArray[np.float32], attributes: dict[str, Attribute]) -> oiio.ImageSpec:
-    height, width, channels = image.shape
-    spec = oiio.ImageSpec(width, height, channels, "float")
-    spec.channelnames = CHANNELS[channels]
+def _spec(name: str, part: Part, image: NDArray[np.float32], attributes: dict[str, Attribute]) -> oiio.ImageSpec:
+    height, width, count = image.shape
+    half = part.half and bool((np.abs(image) <= MOST_HALF).all())
+    spec = oiio.ImageSpec(width, height, count, "half" if half else "float")
+    channels = part.channels or CHANNELS[count]
+    spec.channelnames = channels
+    if channels[-1] == "A":
+        spec.alpha_channel = count - 1
     spec.attribute("compression", COMPRESSION)
     spec.attribute("oiio:subimagename", name)
-    spec.attribute("oiio:ColorSpace", "lin_rec709")
+    if set(CHANNELS[3]) <= set(channels):
+        spec.attribute("oiio:ColorSpace", "lin_rec709")
+        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), REC_709)
     spec.attribute("Software", "ELPS")
     for key, value in attributes.items():
         # 64-bit whole numbers have no type in EXR; text keeps them exact.

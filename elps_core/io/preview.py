@@ -10,7 +10,7 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
-from elps_core.io.exr import ImageUnwritable
+from elps_core.io.exr import ImageUnwritable, partial_of
 
 Tone = Literal["srgb", "filmic"]
 
@@ -44,6 +44,22 @@ def png(pixels: NDArray[np.uint8]) -> bytes:
 def to_png(image: NDArray[Any], exposure: float = 0.0, tone: Tone = "srgb") -> bytes:
     """Linear RGB [height, width, 3] as a PNG file; ``exposure`` in stops."""
     return png(encode(image, exposure, tone))
+
+
+def write_png(path: Path, image: NDArray[Any]) -> None:
+    """Write linear RGB [height, width, 3] as a PNG file; it appears whole or not at all.
+
+    Raises:
+        ImageUnwritable: the file cannot be written there.
+    """
+    partial = partial_of(path)
+    try:
+        partial.write_bytes(to_png(image))
+        partial.replace(path)
+    except OSError:
+        raise ImageUnwritable("the image cannot be written: check the folder and the free space") from None
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def false_colour(values: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:

@@ -9,7 +9,9 @@ from pathlib import Path
 
 from elps_core.estimate.film import Accumulation
 from elps_core.estimate.schedule import MEANTIME
-from elps_core.io.exr import Attribute, write_exr
+from elps_core.io.exr import Attribute, Part, write_exr
+from elps_core.io.formats import converted, of_variant
+from elps_core.scene.summary import FilmSummary
 from elps_core.settings import RenderSettings
 
 IMAGE_PART = "image"
@@ -25,9 +27,11 @@ def write_result(
     render: str,
     context: str | None,
     unreachable: Sequence[str] = (),
+    film: FilmSummary | None = None,
 ) -> None:
-    """Write a multi-part EXR: ``image``, the mean in linear RGB, and its ``standard error`` per pixel.
+    """Write a multi-part EXR: ``image``, the mean, and its ``standard error`` per pixel, with 32 bits.
 
+    Channels are those that the ``film`` asks for, or else those of the image, linear RGB as a rule.
     ``scene``, ``render`` and ``context`` are digests. The attributes are enough to make the image
     again: settings, seed, digests, chunks, samples, versions. They also say what the algorithm told of
     its work (``statistic:NAME`` and its ``statistic:NAME:standardError``), and what the image lacks
@@ -63,7 +67,12 @@ def write_result(
         attributes[f"statistic:{name}"] = statistic.mean
         if statistic.standard_error is not None:
             attributes[f"statistic:{name}:standardError"] = statistic.standard_error
-    write_exr(path, {IMAGE_PART: merged.mean(), ERROR_PART: merged.standard_error()}, attributes)
+    film = of_variant(film or FilmSummary(), settings.variant)
+    pixels, channels = converted(merged.mean(), merged.channels, film)
+    errors, _ = converted(merged.standard_error(), merged.channels, film)
+    attributes["channels"] = ",".join(channels)
+    parts = {IMAGE_PART: Part(pixels, channels, film.half), ERROR_PART: Part(errors, channels)}
+    write_exr(path, parts, attributes)
 
 
 def ranges(indices: set[int] | frozenset[int]) -> str:

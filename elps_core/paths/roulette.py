@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from elps_core.settings import Roulette
+from elps_core.settings import MAX_DEPTH, Roulette
 
 MAX_SURVIVAL = 0.95
 """Mitsuba's upper limit of the survival probability: bounds walks in media that absorb nothing."""
@@ -54,6 +54,10 @@ class RouletteRule:
         more than weights should grow. ``otherwise`` holds where nothing is known.
         """
         return dr.select(known, dr.clip(worth, dr.minimum(raised / MOST_RAISED, 1.0), 1.0), otherwise)
+
+    def in_the_end(self, survival: mi.Float, depth: mi.UInt32) -> mi.Float:
+        """``survival`` that ends every path, where nothing else does: what a path is worth may never fall."""
+        return dr.select(depth < MAX_DEPTH, survival, dr.minimum(survival, MAX_SURVIVAL))
 
     def paid(self, spread: mi.Float, depth: mi.UInt32, known: mi.Bool, otherwise: mi.Float) -> tuple[mi.Float, mi.Bool]:
         """Probability to continue of paths that are paid where they end, and which are.

@@ -16,6 +16,7 @@ from elps_core.paths.stream import Stream
 from elps_core.paths.vertex import Vertex
 from elps_core.sampling.direction import Directions
 from elps_core.scene.meeting import Meeting
+from elps_core.settings import MAX_DEPTH
 
 State = TypeVar("State")
 Visit: TypeAlias = "Callable[[Walk, Vertex, State, mi.Bool], State]"
@@ -80,6 +81,7 @@ def random_walk(
 ) -> State:
     """Walk from ``start`` over at most ``max_depth`` segments, calling ``visit`` after each.
 
+    With more than :data:`elps_core.settings.MAX_DEPTH` segments roulette alone ends the walk.
     ``side`` is where the walk starts: from the lights the scattering is adjoint. With ``pay`` roulette by context
     may pay for what it ends. Returns the caller's state after the last visit. One symbolic loop, hence part of one
     kernel.
@@ -122,6 +124,8 @@ def random_walk(
             else:
                 known = outlook.known & (vertex.depth >= roulette.start)
                 survival = roulette.by_worth(outlook.value * walk.worth, walk.raised * kept, known, survival)
+        if roulette.kind == "context" and isinstance(max_depth, int) and max_depth > MAX_DEPTH:
+            survival = roulette.in_the_end(survival, vertex.depth)
         if roulette.kind != "none":
             before, active = active, active & (walk.stream.next_1d(even=False) < survival)
         if pay and roulette.pays:

@@ -17,13 +17,16 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from elps_core.errors import DeviceUnavailable, SceneRejected
-from elps_core.scene import sandbox
+from elps_core.scene import films, reading, sandbox
 from elps_core.scene.bundle import unpack
+from elps_core.scene.files import Files
 from elps_core.scene.sandbox import ChildDiedError, ChildLimits
 from elps_core.scene.summary import SceneSummary
 
 VARIANT = "scalar_rgb"
 """The variant that runs on every machine: a front end needs neither LLVM nor a GPU to check a scene."""
+SPECTRAL = "scalar_spectral"
+"""The same for scenes whose film keeps bands."""
 MAX_ERROR_CHARACTERS = 400
 _DEFINE = "-D"
 """Begins an argument of the child that sets a parameter of the scene."""
@@ -65,7 +68,9 @@ def inspect(upload: Path, defines: Mapping[str, str] | None = None) -> SceneRepo
 
     with tempfile.TemporaryDirectory(prefix="elps-scene-") as folder:
         unpacked = unpack(upload, Path(folder))
-        loaded = load_scene(Path(folder), VARIANT, defines=defines)
+        document = reading.read(unpacked.xml, Files(unpacked.xml.parent, Path(folder)), defines)
+        variant = SPECTRAL if films.with_bands(document.root) else VARIANT
+        loaded = load_scene(Path(folder), variant, defines=defines)
         summary = loaded.summary.model_copy(update={"ignored": unpacked.ignored})
         return SceneReport(digest=loaded.digest, summary=summary)
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from elps_core import device
 from elps_core.errors import SceneRejected
-from elps_core.scene import advice, headers, markup, measure, meshes, plugins, reading, rules
+from elps_core.scene import advice, films, headers, markup, measure, meshes, plugins, reading, rules
 from elps_core.scene.bundle import is_archive, open_regular, root_xml, unpack
 from elps_core.scene.digest import file_hash, scene_digest, surroundings_digest
 from elps_core.scene.files import Files
@@ -145,6 +145,7 @@ def load_scene(
             xml = source
             files = Files(xml.parent, root, local=True)
         canonical = canonicalize(xml, files, sensor=sensor, size=size, defines=defines)
+        films.check(canonical.root, variant)
         scene, triangles = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
         summary = _summarize(scene, canonical, triangles).model_copy(update={"ignored": ignored})
@@ -368,10 +369,13 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene, triangles: int) -> Sc
     made = scene.sensors()  # in the order of the file
     if len(made) != len(canonical.sensors):
         raise SceneRejected("the scene has a <sensor> in a strange place: put each directly inside <scene>")
-    sensors = []
+    sensors: list[SensorSummary] = []
+    asked: list[str] = []
     for node, sensor in zip(canonical.sensors, made, strict=True):
         width, height = measure.check_sensor(sensor, str(node))
-        sensors.append(SensorSummary(type=node.type, width=width, height=height))
+        film = rules.film_of(node, objects)
+        asked += films.warnings(film)
+        sensors.append(SensorSummary(type=node.type, width=width, height=height, film=films.described(film)))
     counts = Counter(node.type for node in objects if node.tag == "emitter")
     return SceneSummary(
         sensors=tuple(sensors),
@@ -379,7 +383,7 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene, triangles: int) -> Sc
         bsdfs=tuple(sorted(_materials(objects))),
         shapes=sum(node.tag == "shape" for node in objects),
         triangles=triangles,
-        warnings=(*canonical.warnings, *_warnings({node.tag for node in objects})),
+        warnings=(*canonical.warnings, *_warnings({node.tag for node in objects}), *dict.fromkeys(asked)),
         defaults=canonical.defaults,
         parameters=dict(canonical.parameters),
     )

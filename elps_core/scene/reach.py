@@ -16,7 +16,7 @@ from elps_core.errors import SettingsRejected
 from elps_core.paths import strategies
 from elps_core.paths.strategies import Strategies
 from elps_core.scene.summary import SceneSummary
-from elps_core.settings import RenderSettings
+from elps_core.settings import MAX_DEPTH, UNLIMITED, RenderSettings
 
 STRAIGHT = frozenset({"circular", "mask", "null", "polarizer", "retarder"})
 """Materials of which a part lets light straight through."""
@@ -55,6 +55,8 @@ def check(summary: SceneSummary, settings: RenderSettings) -> None:
     """
     if settings.is_baseline or settings.integrator == "auto":  # which takes nothing that would
         return
+    if settings.integrator == "pssmlt" and summary.sensors[settings.sensor].film.pixels == "bands":
+        raise SettingsRejected("pssmlt keeps colours, and not the bands of a 'specfilm': choose path, bdpt or mi_path")
     chosen = strategies.chosen(settings, aperture=_has_aperture(summary, settings))
     if chosen.light_paths and ONE_WAY & set(summary.bsdfs):
         raise SettingsRejected(f"{settings.integrator} cannot render the material 'hair': choose path or mi_path")
@@ -84,13 +86,15 @@ def unreachable(summary: SceneSummary, settings: RenderSettings) -> tuple[str, .
         )
     lights: dict[str, list[str]] = {}
     for emitter in summary.emitters:
-        loss = _loss(chosen, emitter.type, surfaces, settings.max_depth)
+        loss = _loss(chosen, emitter.type, surfaces, settings.longest)
         if loss:
             lights.setdefault(loss, []).append(emitter.type)
     lines += [
         f"{settings.integrator} {_LOSSES[loss].format(lights=_listed(types), surfaces=_listed(singular))}"
         for loss, types in sorted(lights.items())
     ]
+    if settings.max_depth == UNLIMITED and settings.keeps_vertices:
+        lines.append(f"{settings.integrator} leaves out paths of more than {MAX_DEPTH} segments: choose path or auto")
     return tuple(lines)
 
 
@@ -98,7 +102,7 @@ def lost(summary: SceneSummary, settings: RenderSettings) -> int:
     """The same as a number, to compare integrators by: 0 where all light is found, more for wider kinds of paths."""
     _, surfaces = _surfaces(set(summary.bsdfs), settings)
     chosen = _strategies(summary, settings)
-    kinds = [_loss(chosen, emitter.type, surfaces, settings.max_depth) for emitter in summary.emitters]
+    kinds = [_loss(chosen, emitter.type, surfaces, settings.longest) for emitter in summary.emitters]
     return sum(_BY_WIDTH.index(kind) for kind in kinds)
 
 

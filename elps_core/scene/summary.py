@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
+
+PixelFormat = Literal["luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza", "bands"]
+"""What a film keeps of light: ``bands`` by the responses that the film names, the others as Mitsuba's films call it."""
 
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FilmSummary(_Model):
+    """What a film asks of the file that its image is written to."""
+
+    pixels: PixelFormat = "rgb"
+    half: bool = False
+    """Whether numbers are to have 16 bits in place of 32."""
+
+    @property
+    def has_alpha(self) -> bool:
+        """Whether there is a channel for what covers a pixel."""
+        return self.pixels in ("luminance_alpha", "rgba", "xyza")
 
 
 class SensorSummary(_Model):
@@ -17,6 +33,7 @@ class SensorSummary(_Model):
     type: str
     width: int
     height: int
+    film: FilmSummary = FilmSummary()
 
 
 class EmitterSummary(_Model):

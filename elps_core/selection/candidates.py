@@ -14,7 +14,7 @@ from typing import Any, Literal
 from elps_core.errors import ContextMismatch, SettingsRejected
 from elps_core.scene import reach
 from elps_core.scene.summary import SceneSummary
-from elps_core.settings import BdptSettings, ContextSettings, PathSettings, RenderSettings, with_overrides
+from elps_core.settings import UNLIMITED, BdptSettings, ContextSettings, PathSettings, RenderSettings, with_overrides
 
 Guiding = Literal["none", "lights", "full"]
 """What a candidate takes from the tables of regions: nothing, which lamps light them, or directions too."""
@@ -209,7 +209,10 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
     tables = "table_paths" in (statistics or {})
     if settings.integrator == "auto":
         plain = CANDIDATES.get(str((statistics or {}).get(MEANWHILE)), PATH)
-        best = max(trials, key=lambda trial: trial.efficiency).candidate if trials else plain
+        # Paths of any length are found without joins, which keep what they join; with them where nothing else is fit.
+        endless = settings.max_depth == UNLIMITED
+        fit = [trial for trial in trials if not (endless and trial.candidate.light_paths == "joined")] or trials
+        best = max(fit, key=lambda trial: trial.efficiency).candidate if fit else plain
         return Choice(best.settings(settings), best.name, trials, plain.name)
     title, kind = settings.integrator, _light_paths(settings)
     if title == "pssmlt" and not settings.pssmlt.multiplexed:

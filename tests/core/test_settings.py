@@ -11,7 +11,9 @@ from elps_core.errors import SettingsRejected
 from elps_core.options import settings_from
 from elps_core.settings import (
     BUILT_INTEGRATORS,
+    ENDLESS,
     INTEGRATORS,
+    MAX_DEPTH,
     RenderSettings,
     StopCriterion,
     suited,
@@ -162,3 +164,34 @@ def test_what_keeps_to_tables_has_them_filled_to_the_end(settings: dict[str, Any
     assert suited(asked, StopCriterion(samples=4)).context.thorough is thorough
     fixed = with_overrides(asked, {"context.paths": 4096})
     assert suited(fixed, StopCriterion(samples=4)) == with_overrides(fixed, {"context.thorough": thorough})
+
+
+@pytest.mark.parametrize(
+    ("changes", "longest"),
+    [
+        ({"integrator": "path"}, ENDLESS),
+        ({"integrator": "light"}, ENDLESS),
+        ({"integrator": "auto"}, ENDLESS),
+        ({"integrator": "bdpt", "bdpt.joins": False}, ENDLESS),
+        ({"integrator": "bdpt"}, MAX_DEPTH),
+        ({"integrator": "pssmlt"}, MAX_DEPTH),
+        ({"integrator": "path", "max_depth": 7}, 7),
+    ],
+)
+def test_no_greatest_depth_means_none_where_vertices_are_not_kept(changes: dict[str, Any], longest: int) -> None:
+    assert with_overrides(RenderSettings(), {"max_depth": -1, **changes}).longest == longest
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"max_depth": 0}, "-1 for no limit"),
+        ({"max_depth": -2}, "max_depth"),
+        ({"max_depth": -1, "integrator": "path", "roulette": "none"}, "roulette"),
+        ({"max_depth": -1, "integrator": "path", "heuristic": "cutoff"}, "heuristic"),
+        ({"max_depth": -1, "integrator": "bdpt", "bdpt.strategies": "200,200"}, "bdpt.strategies"),
+    ],
+)
+def test_depths_that_have_no_end_are_refused(changes: dict[str, Any], word: str) -> None:
+    with pytest.raises(SettingsRejected, match=word):
+        with_overrides(RenderSettings(), changes)

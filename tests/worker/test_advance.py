@@ -199,3 +199,9 @@ def test_eta_is_that_of_the_first_limit() -> None:
     assert eta_seconds(entry(StopCriterion(samples=8)), 6.0) is None
     hopeless = StopCriterion(error=5e-324)
     assert eta_seconds(entry(hopeless, merged=(0, 1, 2), relative_error=0.2), 5.0) is None
+
+
+def test_a_black_image_ends_though_it_has_no_error() -> None:
+    stop = StopCriterion(error=0.1)
+    assert not decided(entry(stop, merged=tuple(range(4)), relative_error=None)).finish
+    assert decided(entry(stop, merged=tuple(range(8)), relative_error=None)).finish

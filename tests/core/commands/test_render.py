@@ -14,6 +14,7 @@ import pytest
 
 from elps_core.context.store import load, save
 from elps_core.io.exr import read_exr
+from elps_core.scene.inspect import inspect
 
 SECONDS = {f"seconds_{part}" for part in ("total", "loading", "preparing", "rendering", "compiling", "tracing")}
 CONTRACT = (
@@ -172,6 +173,8 @@ def test_a_relative_error_ends_the_render(maze: Path, tmp_path: Path) -> None:
         (["--size", "0x5"], "WxH"),
         (["--size", "99999x5"], "width"),
         (["--max-depth", "0"], "max_depth"),
+        (["--max-depth", "-2"], "max_depth"),
+        (["--max-depth", "-1", "--integrator", "path", "--roulette", "none"], "roulette"),
         (["--sensor", "7"], "sensor"),
         (["--set", "context.nothing=1"], "unknown setting"),
         (["--set", "nonsense"], "NAME=VALUE"),
@@ -214,6 +217,103 @@ def test_what_is_not_said_the_file_says(tmp_path: Path) -> None:
     unknown = elps("render", str(scene), "-o", str(output), "--spp", "1", "-D", "albdo=0")
     assert unknown.returncode == 2
     assert "'albdo'" in unknown.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "word"), [("a.jpg", ".exr or .png"), ("f.exr", "folder"), ("x" * 300 + ".exr", "name")]
+)
+def test_outputs_are_tried_before_the_scene_is_read(tmp_path: Path, name: str, word: str) -> None:
+    (tmp_path / "f.exr").mkdir()
+    done = elps("render", str(tmp_path / "none.xml"), "-o", str(tmp_path / name), "--spp", "1")
+    assert done.returncode == 2
+    assert word in done.stderr
+    assert "no scene" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+FILM = """<scene version="3.0.0"><sensor type="perspective"><transform name="to_world">
+<lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm"><string name="pixel_format"
+value="{pixels}"/><string name="component_format" value="float16"/><string name="file_format" value="pfm"/></film>
+</sensor><shape type="sphere"><point name="center" x="-1" y="0" z="0"/></shape><emitter type="point">
+<point name="position" x="0" y="2" z="3"/><rgb name="intensity" value="{light}"/></emitter></scene>"""
+
+
+@pytest.mark.parametrize("integrator", ["path", "mi_path"])
+def test_the_file_has_what_the_film_asks_for(tmp_path: Path, integrator: str) -> None:
+    scene, images = tmp_path / "scene.xml", {}
+    for pixels, names in (("rgba", "R,G,B,A"), ("xyza", "X,Y,Z,A"), ("luminance", "Y")):
+        scene.write_text(FILM.format(pixels=pixels, light="20,10,5"))
+        output = tmp_path / f"{pixels}.exr"
+        figures = render(scene, output, "--integrator", integrator, "--spp", "64", "--light-sampling", "power")
+        assert any("file_format" in line for line in figures["warnings"])
+        parts, attributes = read_exr(output)
+        assert attributes["channels"] == names
+        images[pixels] = parts["image"]
+        assert parts["standard error"].shape == parts["image"].shape == (24, 32, len(names.split(",")))
+    alpha = images["rgba"][..., 3]
+    assert (alpha.max(), alpha.min()) == (1.0, 0.0)
+    assert 0.1 < alpha.mean() < 0.5
+    assert images["xyza"][..., 3] == pytest.approx(alpha, abs=1e-3)
+    assert not images["rgba"][alpha == 0.0].any()
+    grey = images["rgba"][..., :3] @ np.array([0.212671, 0.715160, 0.072169], np.float32)
+    assert images["xyza"][..., 1] == pytest.approx(grey, rel=5e-3, abs=1e-4)
+    assert images["luminance"][..., 0] == pytest.approx(grey, rel=5e-3, abs=1e-4)
+
+
+@pytest.mark.parametrize("integrator", ["bdpt", "light", "pssmlt", "mi_ptracer"])
+def test_every_integrator_has_alpha(tmp_path: Path, integrator: str) -> None:
+    scene = tmp_path / "scene.xml"
+    scene.write_text(FILM.format(pixels="luminance_alpha", light="20,10,5"))
+    options = ("--integrator", integrator, "--spp", "64", "--light-sampling", "power", "--max-depth", "2")
+    render(scene, tmp_path / "a.exr", *options)
+    parts, attributes = read_exr(tmp_path / "a.exr")
+    assert attributes["channels"] == "Y,A"
+    grey, alpha = np.moveaxis(parts["image"], -1, 0)
+    assert (alpha.max(), alpha.min()) == (1.0, 0.0)
+    assert 0.1 < alpha.mean() < 0.5
+    assert grey[alpha > 0.9].mean() > 0.05
+    assert not grey[alpha == 0.0].any()
+
+
+@pytest.mark.parametrize("integrator", ["path", "mi_path"])
+def test_a_black_image_has_no_error_and_comes_to_its_end(tmp_path: Path, integrator: str) -> None:
+    scene = tmp_path / "scene.xml"
+    scene.write_text(FILM.format(pixels="rgb", light="0,0,0"))
+    figures = render(scene, tmp_path / "a.exr", "--integrator", integrator, "--error", "0.1")
+    assert figures["relative_error"] is None
+    assert not read_exr(tmp_path / "a.exr")[0]["image"].any()
+
+
+def test_a_png_is_a_png(maze: Path, tmp_path: Path) -> None:
+    output = tmp_path / "a.png"
+    render(maze, output, "--integrator", "path", "--spp", "4", "--light-sampling", "power", "--max-depth", "3")
+    assert output.read_bytes()[:8] == bytes([0x89]) + b"PNG\r\n" + bytes([0x1A]) + b"\n"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.png"]
+
+
+SPECTRAL = """<scene version="3.0.0"><sensor type="perspective"><transform name="to_world">
+<lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform><film type="specfilm"><rfilter type="box"/>
+<spectrum name="far" value="700:1, 750:1, 800:1"/><spectrum name="blue" value="420:1, 450:1, 480:1"/></film></sensor>
+<shape type="sphere"><bsdf type="diffuse"><spectrum name="reflectance" value="400:0.2, 500:0.2, 700:0.8, 900:0.8"/>
+</bsdf></shape><emitter type="constant"><spectrum name="radiance" value="1.0"/></emitter></scene>"""
+
+
+def test_bands_are_written_under_their_names(tmp_path: Path) -> None:
+    scene, means = tmp_path / "scene.xml", {}
+    scene.write_text(SPECTRAL)
+    options = ("--variant", "llvm_ad_spectral", "--spp", "256", "--light-sampling", "power", "--max-depth", "3")
+    for integrator in ("mi_path", "bdpt"):
+        render(scene, tmp_path / "a.exr", "--integrator", integrator, *options)
+        parts, attributes = read_exr(tmp_path / "a.exr")
+        assert attributes["channels"] == "far,blue"
+        means[integrator] = parts["image"][10:14, 14:18].mean(axis=(0, 1))
+    blue, far = means["mi_path"]
+    assert far / blue == pytest.approx(0.8 * 100 / (0.2 * 60), rel=0.05)
+    assert means["bdpt"] == pytest.approx(means["mi_path"], rel=0.03)
+    done = elps("render", str(scene), "-o", str(tmp_path / "b.exr"), "--integrator", "pssmlt", *options)
+    assert done.returncode == 2
+    assert "bands" in done.stderr
+    assert inspect(scene).summary.sensors[0].film.pixels == "bands"
 
 
 def test_a_missing_scene_is_refused(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from elps_core.estimate.film import Accumulation, Chunk
+from elps_core.estimate.film import RGBA, Accumulation, Chunk
 
 Array = np.ndarray[Any, Any]
 
@@ -126,3 +126,52 @@ def test_the_error_of_statistics_is_calibrated(power: float) -> None:
         variances.append(found.standard_error**2)
     # The mean of 2000 squares of normal values is known to about 3%.
     assert np.mean(variances) / np.mean(squares) == pytest.approx(1.0, abs=0.12)
+
+
+def test_alpha_is_merged_and_is_no_part_of_the_error() -> None:
+    rng = np.random.default_rng(9)
+    plain, covered = Accumulation.empty(5, 4), Accumulation.empty(5, 4)
+    for index in range(4):
+        colours, alpha = rng.random((4, 5, 3), np.float32), np.full((4, 5, 1), 0.25 * index, np.float32)
+        weight = np.full((4, 5), 2, np.float32)
+        plain.add(Chunk(index, 2, 0.5, colours, weight))
+        covered.add(Chunk(index, 2, 0.5, np.concatenate([colours, alpha], axis=-1), weight, channels=RGBA))
+    assert covered.mean()[..., 3] == pytest.approx(0.375)
+    assert np.array_equal(covered.mean()[..., :3], plain.mean())
+    assert covered.relative_error() == plain.relative_error()
+    again = Accumulation.from_bytes(covered.to_bytes())
+    assert again.channels == RGBA
+    assert np.array_equal(again.mean(), covered.mean())
+    with pytest.raises(ValueError, match="channels"):
+        covered.merge(plain)
+
+
+def test_bands_keep_their_names() -> None:
+    names = ("band1_green", "nir")
+    chunk = Chunk(0, 1, 0.5, np.ones((4, 5, 2), np.float32), np.ones((4, 5), np.float32), channels=names)
+    assert Chunk.from_bytes(chunk.to_bytes()).channels == names
+    merged = Accumulation.empty(5, 4)
+    merged.add(Chunk.from_bytes(chunk.to_bytes()))
+    assert merged.weighted(0.5).channels == names
+    assert merged.mean().shape == (4, 5, 2)
+
+
+def test_quotients_of_sums_know_their_error() -> None:
+    rng = np.random.default_rng(10)
+    ratios = []
+    for _ in range(300):
+        merged, halves = Accumulation.empty(5, 4), [Accumulation.empty(5, 4) for _ in range(2)]
+        for index, spp in enumerate([1, 1, 2, 4, 8, 8, 8, 8]):
+            share = (1.0 + rng.normal(size=(4, 5, 1)) * 0.3 / np.sqrt(spp)).astype(np.float32)
+            noise = rng.normal(size=(4, 5, 3)) * 0.2 / np.sqrt(spp)
+            image = (2.0 * share + noise).astype(np.float32)
+            weight = np.full((4, 5), spp, np.float32)
+            chunk = Chunk.from_bytes(Chunk(index, spp, 0.5, image, weight, filtered=share[..., 0]).to_bytes())
+            merged.add(chunk)
+            halves[index % 2].add(chunk)
+        halves[0].merge(Accumulation.from_bytes(halves[1].to_bytes()))
+        assert np.allclose(halves[0].mean(), merged.mean(), rtol=1e-5)
+        assert np.allclose(halves[0].standard_error(), merged.standard_error(), rtol=1e-3)
+        ratios.append(((merged.mean() - 2.0) ** 2).mean() / (merged.standard_error() ** 2).mean())
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+    assert merged.weighted(0.5).mean() == pytest.approx(merged.mean(), rel=1e-6)

@@ -30,12 +30,12 @@ PAIRS = [(s, t) for s in range(DEPTH + 2) for t in range(1, DEPTH + 2) if 3 <= s
 """Strategies (s, t) of paths with one bounce to :data:`DEPTH` - 1."""
 
 
-def sphere(mi: Any, light: str, lens: float = 0.0) -> Any:
+def sphere(mi: Any, light: str, lens: float = 0.0, albedo: float = ALBEDO) -> Any:
     """A camera inside a sphere that glows, or has a point light at its centre; ``lens`` is the aperture's radius."""
     shape: dict[str, Any] = {
         "type": "sphere",
         "flip_normals": True,
-        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": ALBEDO}},
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}},
     }
     sensor: dict[str, Any] = {
         "type": "perspective",
@@ -153,3 +153,22 @@ def test_other_variants_agree(variant: str, light: str) -> None:
 def test_roulette_leaves_the_mean_alone(mi: Any, roulette: str) -> None:
     images = render(sphere(mi, "area"), "bdpt", images=IMAGES, spp=96, max_depth=8, roulette=roulette)
     check(images, up_to("area", 8))
+
+
+BRIGHT = 0.95
+"""Albedo of which a series of 16 terms has little more than half."""
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "options"),
+    [("path", {}), ("path", {"roulette": "throughput"}), ("light", {}), ("bdpt", {"bdpt__joins": False})],
+    ids=["path", "path by throughput", "light", "unjoined"],
+)
+def test_paths_without_a_greatest_depth(mi: Any, algorithm: str, options: dict[str, Any]) -> None:
+    images = render(sphere(mi, "area", albedo=BRIGHT), algorithm, images=IMAGES, spp=256, max_depth=-1, **options)
+    check(images, 1.0 / (1.0 - BRIGHT))
+
+
+def test_what_keeps_vertices_goes_as_far_as_it_can(mi: Any) -> None:
+    images = render(sphere(mi, "area", albedo=BRIGHT), "bdpt", images=IMAGES, spp=12, max_depth=-1)
+    check(images, 1.0 / (1.0 - BRIGHT), 0.03)

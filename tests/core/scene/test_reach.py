@@ -11,7 +11,7 @@ import pytest
 from elps_core.errors import SettingsRejected
 from elps_core.scene import plugins, reach
 from elps_core.scene.loader import load_scene
-from elps_core.scene.summary import EmitterSummary, SceneSummary, SensorSummary
+from elps_core.scene.summary import EmitterSummary, FilmSummary, SceneSummary, SensorSummary
 from elps_core.settings import RenderSettings, with_overrides
 
 from .conftest import load, scene_xml
@@ -243,3 +243,20 @@ def test_hair_is_refused_where_light_paths_would_meet_it() -> None:
             reach.check(summary, RenderSettings(integrator=integrator))
     for integrator in ("path", "mi_path"):
         reach.check(summary, RenderSettings(integrator=integrator))
+
+
+def test_depths_that_are_cut_are_told() -> None:
+    scene = described("area", "diffuse")
+    (line,) = reach.unreachable(scene, settings("bdpt", max_depth=-1))
+    assert "256" in line
+    for integrator in ("path", "light", "auto"):
+        assert reach.unreachable(scene, settings(integrator, max_depth=-1)) == ()
+
+
+def test_chains_keep_no_bands() -> None:
+    scene = described("area", "diffuse")
+    film = scene.sensors[0].model_copy(update={"film": FilmSummary(pixels="bands")})
+    bands = scene.model_copy(update={"sensors": (film,)})
+    reach.check(bands, settings("bdpt"))
+    with pytest.raises(SettingsRejected, match="bands"):
+        reach.check(bands, settings("pssmlt"))
