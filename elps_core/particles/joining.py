@@ -15,7 +15,6 @@ import mitsuba as mi
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.particles.records import Worth, everywhere
 from elps_core.particles.subpaths import StepStore, Tracked
-from elps_core.paths.connect import SHADOW
 from elps_core.paths.mis import Ratios, Side
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.strategies import bdpt as all_strategies
@@ -241,9 +240,8 @@ class PathJoiner:
         eye_passes = ready & (dr.max(to_light) > 0.0)
         light_passes = ready & (dr.max(to_eye) > 0.0) & (~from_lamp | (dr.max(emitted) > 0.0))
         joined = eye_passes | light_passes
-        joined = joined & ~self._blocked(
-            eye_si, light_si, dr.select(from_lamp, target, light_si.p), sample, at_film, joined
-        )
+        end = self._surfaces.leaving.off(light_si.p, light_si.n, -direction)
+        joined = joined & ~self._blocked(eye_si, light_si, dr.select(from_lamp, target, end), sample, at_film, joined)
         eye_passes, light_passes = joined & eye_passes, joined & light_passes
         inverse = dr.select(joined, dr.rcp(distance2), 0.0)
 
@@ -324,13 +322,12 @@ class PathJoiner:
         active: mi.Bool,
     ) -> mi.Bool:
         """Whether something stands between the ends. One ray for all strategies."""
-        ray = eye.spawn_ray_to(target)
-        # From the sensor's near clip plane: see Connector.
-        length = sample.distance - sample.near
-        ray.o = dr.select(at_film, light.p + sample.direction * length, ray.o)
-        ray.d = dr.select(at_film, -sample.direction, ray.d)
-        ray.maxt = dr.select(at_film, length * SHADOW, ray.maxt)
-        return self._surfaces.blocked(ray, active)
+        leaving = self._surfaces.leaving
+        start = leaving.off(eye.p, eye.n, target - eye.p)
+        # At the film from the surface to the sensor's near clip plane.
+        start = dr.select(at_film, leaving.off(light.p, light.n, sample.direction), start)
+        end = dr.select(at_film, light.p + sample.direction * (sample.distance - sample.near), target)
+        return self._surfaces.blocked(leaving.between(start, end), active)
 
 
 def _sum(ratios: Ratios) -> mi.Float:

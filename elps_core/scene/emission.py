@@ -26,10 +26,12 @@ from elps_core.scene.emitters import (
     POINTS,
     SURFACES,
     common_time,
+    cone_of,
     describe_emitters,
 )
 from elps_core.scene.environment import Environment
 from elps_core.scene.groups import MaterialFlags, every_shape, numbers
+from elps_core.scene.leaving import Leaving
 from elps_core.scene.meeting import Meeting
 from elps_core.scene.meshlight import MeshLights
 from elps_core.scene.radiance import Radiance
@@ -63,7 +65,8 @@ class Emission:
         SceneRejected: no emitter, or one that is not supported.
     """
 
-    def __init__(self, scene: mi.Scene) -> None:
+    def __init__(self, scene: mi.Scene, extent: float = 1.0) -> None:
+        """``extent`` is how large the scene is: see :class:`elps_core.scene.leaving.Leaving`."""
         self._scene = scene  # Pointers to emitters do not keep them alive.
         lights = describe_emitters(scene)
         self.count = len(lights)
@@ -93,18 +96,18 @@ class Emission:
         self._shapes = mi.ShapePtr([light.shape for light in lights])
         self._kind = on_device(mi.UInt32, [light.kind_index for light in lights])
         self._area = on_device(mi.Float, self._areas)
-        self._to_local = on_device(mi.Float, [light.to_local for light in lights])
         self._position = on_device(mi.Float, [light.position for light in lights])
-        self._cutoff = on_device(mi.Float, [light.cos_cutoff for light in lights])
         self._radiance = Radiance(lights)
         self._on_shapes = ShapeLights(lights)
         self.flags = MaterialFlags(scene)
         """Of the materials in the scene, lamps' own included."""
-        self.rays = Meeting(scene, lights, self._on_shapes)
+        self.rays = Meeting(scene, lights, self._on_shapes, Leaving(extent))
         """What rays meet in the scene, lamps included."""
         self._meshes = MeshLights(lights) if "mesh" in self.kinds else None
         sphere = scene.bbox().bounding_sphere()
         self._centre, self._radius = mi.Point3f(sphere.center), mi.Float(DISK_MARGIN * sphere.radius)
+        cones = np.array([cone_of(light, sphere.center, DISK_MARGIN * float(sphere.radius)) for light in lights])
+        self._cones, self._heights = on_device(mi.Float, cones), cones[:, 3]
         dr.make_opaque(self._centre, self._radius)  # Data, not code: scenes share kernels.
         surround = [light for light in lights if light.kind in ENVIRONMENTS]
         self._around = dr.opaque(mi.UInt32, int(ids[lights.index(surround[0])]) if surround else 0)
@@ -218,9 +221,10 @@ class Emission:
             si.wi = dr.select(point.infinite, direction, si.to_local(direction))
             value = self._radiance.seen(point.index, si, active & ~point.delta)
         if self.has_point or self.has_directional:
-            # At unit distance the irradiance of a point light is its intensity.
-            near = mi.Interaction3f(0.0, self.time, point.si.wavelengths, point.si.p + direction)
-            intensity = self._radiance.sent(point.index, near, active & point.delta)
+            # Far enough away for single precision to tell the direction; 1 at infinity, where p is the origin.
+            away = 1.0 + dr.max(dr.abs(point.si.p))
+            near = mi.Interaction3f(0.0, self.time, point.si.wavelengths, point.si.p + direction * away)
+            intensity = self._radiance.sent(point.index, near, away, active & point.delta)
             value = dr.select(point.delta, intensity, value)
         return value & active, cosine
 
@@ -246,12 +250,12 @@ class Emission:
         direction, origin = n, point.si.p
         if self.has_surface:
             direction = frame.to_world(mi.warp.square_to_cosine_hemisphere(u))
-            origin = point.si.spawn_ray(direction).o
+            origin = self.rays.leaving.off(point.si.p, n, direction)
         if self.has_point:
-            cutoff = dr.gather(mi.Float, self._cutoff, point.index, active)
-            axis = mi.Frame3f(mi.Normal3f(self._axis(point.index, active)))
+            cone = dr.gather(mi.Vector4f, self._cones, point.index, active)
+            around = mi.Frame3f(mi.Normal3f(cone.x, cone.y, cone.z)).to_world(_in_cone(u, cone.w))
             at_point = point.delta & ~point.infinite
-            direction = dr.select(at_point, axis.to_world(mi.warp.square_to_uniform_cone(u, cutoff)), direction)
+            direction = dr.select(at_point, around, direction)
             origin = dr.select(at_point, point.si.p, origin)
         if self.has_infinite:
             disk = mi.warp.square_to_uniform_disk_concentric(u)
@@ -268,8 +272,8 @@ class Emission:
         """
         pdf = cosine * dr.inv_pi
         if self.has_point:
-            cutoff = dr.gather(mi.Float, self._cutoff, index, active)
-            pdf = dr.select(delta, dr.inv_two_pi * dr.rcp(1.0 - cutoff), pdf)
+            cone = dr.gather(mi.Vector4f, self._cones, index, active)
+            pdf = dr.select(delta, dr.inv_two_pi * dr.rcp(cone.w), pdf)
         if self.has_infinite:
             pdf = dr.select(infinite, dr.inv_pi * dr.rcp(dr.square(self._radius)), pdf)
         return pdf
@@ -283,6 +287,9 @@ class Emission:
         delta = point.si.p - p
         distance2 = dr.squared_norm(delta)
         direction, target = delta * dr.rsqrt(distance2), point.si.p
+        if self.has_surface:
+            off = self.rays.leaving.off(point.si.p, point.si.n, -direction)
+            target = dr.select(point.delta, target, off)
         if self.has_infinite:
             direction = dr.select(point.infinite, -mi.Vector3f(point.si.n), direction)
             distance2 = dr.select(point.infinite, 1.0, distance2)
@@ -291,16 +298,11 @@ class Emission:
 
     # -- Tables ----------------------------------------------------------------------------------
 
-    def _axis(self, index: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        # The third row of the world-to-local map is the local z axis, up to scale.
-        row = dr.gather(mi.Vector4f, self._to_local, index * 3 + 2, active)
-        return dr.normalize(mi.Vector3f(row.x, row.y, row.z))
-
     def _measure_power(self) -> NDArray[np.float64]:
         """Average emission over a grid on each emitter, times its area and solid angle; closed forms where they are."""
         known = self._radiance.known
-        # Light of a surface into all directions of a half space, and of a point into all.
-        around = np.where(np.isin(self._kinds, SURFACES), np.pi * self._areas, 4.0 * np.pi)
+        # Light of a surface into all directions of a half space, and of a point into those of its cone.
+        around = np.where(np.isin(self._kinds, SURFACES), np.pi * self._areas, 2.0 * np.pi * self._heights)
         bright = self._radiance.values @ (np.ones(1) if mi.is_monochromatic else luminance_weights())
         power: NDArray[np.float64] = np.where(known, around * bright, 0.0)
         if not known.all():
@@ -327,3 +329,11 @@ class Emission:
         one = self.pdf_direction(index, point.delta, mi.Float(1.0), active, infinite=point.infinite)
         flux = np.array(luminance(value * weight, wavelengths) / (point.pdf * one), np.float64)
         return np.asarray(np.nan_to_num(flux.reshape(len(emitters), cells).mean(axis=1), nan=0.0, posinf=0.0))
+
+
+def _in_cone(u: mi.Point2f, height: mi.Float) -> mi.Vector3f:
+    """Uniform in the cone around z of directions with 1 - cos below ``height``, which may be tiny."""
+    disk = mi.warp.square_to_uniform_disk_concentric(u)
+    below = height * dr.squared_norm(disk)
+    across = disk * dr.safe_sqrt(height * (2.0 - below))
+    return mi.Vector3f(across.x, across.y, 1.0 - below)

@@ -183,6 +183,25 @@ def _describe_other(emitter: Any) -> Light:
     return Light(kind, emitter, None, 1.0, to_local, place, 1.0, cutoff, key)
 
 
+def cone_of(light: Light, centre: Any, radius: float) -> tuple[float, float, float, float]:
+    """The cone that light paths of an emitter without extent start into: its axis, and 1 - cos of its half angle.
+
+    It holds all light that the emitter sends, or the whole scene, a ball with this ``centre`` [3] and ``radius``:
+    whichever is the narrower. Of a lamp far away the scene is a tiny part of what it lights.
+    """
+    axis = np.array(light.key[3:6]) if light.kind in POINTS and any(light.key[3:6]) else np.array((0.0, 0.0, 1.0))
+    height = 1.0 - light.cos_cutoff
+    if light.kind in POINTS:
+        to_scene = np.array(centre, np.float64) - light.position
+        distance = float(np.linalg.norm(to_scene))
+        if radius < distance < np.inf:
+            sine = radius / distance
+            around = sine**2 / (1.0 + np.sqrt(1.0 - sine**2))
+            if around < height:
+                axis, height = to_scene / distance, around
+    return (*map(float, axis), float(height))
+
+
 def _along_curve(places: Matrix) -> list[int]:
     """Where points [n, 3] are along Morton's curve through their bounding box; beyond its end at infinity."""
     finite = np.isfinite(places).all(axis=1)
@@ -232,7 +251,10 @@ def _intensities(lights: list[Light]) -> list[float]:
 def _asked_intensities(lights: list[Light]) -> Matrix:
     axes = np.array([light.key[3:6] for light in lights])
     axes[~axes.any(axis=1)] = (0.0, 0.0, 1.0)
-    position = np.array([light.position if light.kind in POINTS else np.zeros(3) for light in lights]) + axes
+    places = np.array([light.position if light.kind in POINTS else np.zeros(3) for light in lights])
+    # Far enough away for single precision to tell the direction.
+    away = 1.0 + np.abs(places).max(axis=1)
+    position = places + away[:, None] * axes
     wavelengths, weight = sample_wavelengths(dr.full(mi.Float, 0.5, len(lights)))
     near = mi.Interaction3f(0.0, 0.0, wavelengths, mi.Point3f(*(on_device(mi.Float, row) for row in position.T)))
 
@@ -240,7 +262,7 @@ def _asked_intensities(lights: list[Light]) -> Matrix:
         return emitter.sample_direction(near, mi.Point2f(0.5))[1]
 
     value = dr.switch(dr.arange(mi.UInt32, len(lights)), [partial(ask, light.emitter) for light in lights], near)
-    return np.broadcast_to(np.array(luminance(value * weight, wavelengths), np.float64), len(lights))
+    return np.asarray(np.array(luminance(value * weight, wavelengths), np.float64) * away**2)
 
 
 class _Parameters(mi.TraversalCallback):

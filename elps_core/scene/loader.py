@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from elps_core.scene.emission import Emission
+    from elps_core.scene.placing import Placement
 
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
@@ -83,6 +84,8 @@ class LoadedScene:
     """Which camera of the scene file was chosen."""
     surroundings: str
     """Digest of the scene without its cameras."""
+    extent: float = 1.0
+    """How large it is as it is rendered: see :mod:`elps_core.scene.placing`."""
 
     @cached_property
     def emission(self) -> Emission:
@@ -93,7 +96,7 @@ class LoadedScene:
         """
         from elps_core.scene.emission import Emission  # Needs a variant to be set
 
-        return Emission(self.scene)
+        return Emission(self.scene, self.extent)
 
 
 def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, int] | None = None) -> LoadedScene:
@@ -122,13 +125,14 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
         else:
             xml = source
         canonical = canonicalize(xml, sensor=sensor, size=size)
-        scene, triangles = _instantiate(mi_, canonical, variant)
+        made = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
-        summary = _summarize(scene, canonical, triangles)
+        summary = _summarize(made, canonical)
+    scene, extent = made.scene, made.placement.placed_size
     chosen = scene.sensors()[sensor]
     shown_size = summary.sensors[sensor]
     film = (shown_size.width, shown_size.height)
-    return LoadedScene(scene, chosen, canonical.digest, summary, variant, film, sensor, canonical.surroundings)
+    return LoadedScene(scene, chosen, canonical.digest, summary, variant, film, sensor, canonical.surroundings, extent)
 
 
 def canonicalize(xml: Path, *, sensor: int = 0, size: tuple[int, int] | None = None) -> CanonicalScene:
@@ -263,9 +267,18 @@ def _resize(sensor: Node, objects: list[Node], size: tuple[int, int]) -> None:
     sensor.children = [child for child in sensor.children if id(child) not in replaced] + [film]
 
 
-def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> tuple[mi.Scene, int]:
-    """The scene, and the triangles of all its meshes."""
-    from elps_core.scene import merging  # here: it needs the variant that is set by now
+@dataclass(frozen=True)
+class _Made:
+    """A scene that Mitsuba has made, and where it stands."""
+
+    scene: mi.Scene
+    triangles: int
+    placement: Placement
+    warnings: tuple[str, ...]
+
+
+def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
+    from elps_core.scene import merging, placing  # here: they need the variant that is set by now
 
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
@@ -278,12 +291,18 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> tuple[mi.
     # Mitsuba's warnings name files of the host.
     mi_.set_log_level(mi_.LogLevel.Error)
     try:
-        state = mi_.parser.parse_string(config, canonical.text)
-        _check_again(state, canonical)
-        mi_.parser.transform_all(config, state)
-        names = merging.candidates(state)
+        state = _parse(mi_, config, canonical)
+        names, maps = merging.candidates(state), placing.file_maps(state)
         parts = merging.make_parts(config, state)
         triangles = measure.triangles(merging.shapes_of(parts))
+        placement, coarse = placing.measured(merging.shapes_of(parts)), placing.coarse_meshes(parts, maps)
+        if placement.moves:
+            del parts
+            state = _parse(mi_, config, canonical)
+            placement = placing.place(state, placement)
+            names = merging.candidates(state)
+            parts = merging.make_parts(config, state)
+            placing.place_made(merging.shapes_of(parts), placement)
         parts = merging.merge(parts, names)
         scene = merging.make_scene(parts)
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
@@ -292,7 +311,15 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> tuple[mi.
         raise SceneRejected(_explain(str(error), canonical)) from None
     finally:
         mi_.set_log_level(level)
-    return scene, triangles
+    return _Made(scene, triangles, placement, (*coarse, *placing.remote(scene, placement)))
+
+
+def _parse(mi_: Any, config: Any, canonical: CanonicalScene) -> Any:
+    """The scene as Mitsuba reads it, its references resolved and nothing made."""
+    state = mi_.parser.parse_string(config, canonical.text)
+    _check_again(state, canonical)
+    mi_.parser.transform_all(config, state)
+    return state
 
 
 def _leave_only_mitsuba(mi_: Any) -> None:
@@ -337,14 +364,14 @@ def _explain(raw: str, canonical: CanonicalScene) -> str:
     return f"{node}: Mitsuba cannot make this object: check its parameters"
 
 
-def _summarize(scene: mi.Scene, canonical: CanonicalScene, triangles: int) -> SceneSummary:
-    measure.check_bounds(scene)
+def _summarize(made: _Made, canonical: CanonicalScene) -> SceneSummary:
+    measure.check_bounds(made.scene)
     objects = canonical.root.objects()
-    made = scene.sensors()  # in the order of the file
-    if len(made) != len(canonical.sensors):
+    cameras = made.scene.sensors()  # in the order of the file
+    if len(cameras) != len(canonical.sensors):
         raise SceneRejected("the scene has a <sensor> in a strange place: put each directly inside <scene>")
     sensors = []
-    for node, sensor in zip(canonical.sensors, made, strict=True):
+    for node, sensor in zip(canonical.sensors, cameras, strict=True):
         width, height = measure.check_sensor(sensor, str(node))
         sensors.append(SensorSummary(type=node.type, width=width, height=height))
     counts = Counter(node.type for node in objects if node.tag == "emitter")
@@ -353,8 +380,8 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene, triangles: int) -> Sc
         emitters=tuple(EmitterSummary(type=kind, count=count) for kind, count in sorted(counts.items())),
         bsdfs=tuple(sorted(_materials(objects))),
         shapes=sum(node.tag == "shape" for node in objects),
-        triangles=triangles,
-        warnings=_warnings({node.tag for node in objects}),
+        triangles=made.triangles,
+        warnings=(*_warnings({node.tag for node in objects}), *made.warnings),
     )
 
 
