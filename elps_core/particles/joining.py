@@ -145,7 +145,10 @@ class PathJoiner:
         # What is emitted stays apart from what is scattered: importons do not ask for the light's colour.
         emission, point = self.lights.emission, start.point
         emitted, cosine = emission.radiance(point, first.ray.d, active)
-        pdf = emission.pdf_direction(point.index, point.delta, cosine, active, infinite=point.infinite)
+        delta, infinite = point.delta, point.infinite
+        pdf = emission.pdf_direction(
+            point.index, point.si.p, first.ray.d, cosine, active, delta=delta, infinite=infinite
+        )
         first.beta = dr.select(first.active, mi.Spectrum(cosine / (start.pdf * pdf)), 0.0)
         light = self._walk(first, s, "light", stores[0], row)
         # The second loop would have the first one's scatters done, and the first walk made again for its end.
@@ -227,7 +230,10 @@ class PathJoiner:
         cos_light = dr.abs(dr.dot(light_si.n, direction))
         at_light = materials.seen_by_light(light_si, light_si.to_local(-direction), cos_light, ready & ~from_lamp)
         lamp, lamp_cosine = emission.radiance(point, -direction, ready & from_lamp)
-        lamp_pdf = emission.pdf_direction(point.index, point.delta, lamp_cosine, from_lamp, infinite=point.infinite)
+        delta, infinite = point.delta, point.infinite
+        lamp_pdf = emission.pdf_direction(
+            point.index, point.si.p, -direction, lamp_cosine, from_lamp, delta=delta, infinite=infinite
+        )
         no_surface = point.delta | point.infinite
         # Importance reaches the back of a lamp, too.
         lamp_side = dr.select(no_surface, 1.0, dr.abs(dr.dot(point.si.n, direction)))
@@ -306,7 +312,10 @@ class PathJoiner:
         radiance = mi.UnpolarizedSpectrum(emission.seen(emitter, si, active))
         pdf_start, index, _ = self.lights.pdf(emitter, si, active)
         cosine = dr.abs(dr.dot(si.to_world(si.wi), si.n))
-        pdf_omega = emission.pdf_direction(index, mi.Bool(False), cosine, active, infinite=~si.is_valid())
+        back = mi.Vector3f(si.to_world(si.wi))
+        pdf_omega = emission.pdf_direction(
+            index, si.p, back, cosine, active, delta=mi.Bool(False), infinite=~si.is_valid()
+        )
         pdf_omega = dr.select(dr.max(radiance) > 0.0, pdf_omega, 0.0)
         fewer = _sum(self.heuristic.others(eye.vertex.partial, pdf_start, pdf_omega, "eye"))
         # Paths of one segment have no other strategy.

@@ -103,7 +103,7 @@ class Connector:
         infinite = ~vertex.si.is_valid() if emission.has_environment else mi.Bool(False)
         nowhere = mi.Bool(False)
         pdf_omega = self.lights.pdf_direction(
-            index, cell, -walk.ray.d, cosine, active, delta=nowhere, infinite=infinite
+            index, cell, vertex.si.p, -walk.ray.d, cosine, active, delta=nowhere, infinite=infinite
         )
         # Next event estimation may choose otherwise than light paths start, of which there may be fewer.
         ratio = self.region_lights.ratio(region, cell, active) if self.region_lights else mi.Float(1.0)
@@ -138,8 +138,9 @@ class Connector:
         light: Ratios = []
         if self.strategies.emission:
             light = self.heuristic.single(dr.select(point.delta, 0.0, seen.pdf), pdf_omega, "light")
+        infinite = point.infinite
         pdf_direction = self.lights.pdf_direction(
-            point.index, start.cell, -direction, cos_light, active, delta=point.delta, infinite=point.infinite
+            point.index, start.cell, point.si.p, -direction, cos_light, active, delta=point.delta, infinite=infinite
         )
         # Were it not for regions and thinning, the density of the light vertex would cancel in the ratio.
         pdf_light = pdf_direction * cos_eye / distance2 * (self._fraction * pdf_start / start.pdf)

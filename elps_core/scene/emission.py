@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
+from elps_core.scene.cones import Cones
 from elps_core.scene.emitters import (
     ANALYTIC,
     DIRECTIONAL,
@@ -26,7 +27,6 @@ from elps_core.scene.emitters import (
     POINTS,
     SURFACES,
     common_time,
-    cone_of,
     describe_emitters,
 )
 from elps_core.scene.environment import Environment
@@ -106,8 +106,8 @@ class Emission:
         self._meshes = MeshLights(lights) if "mesh" in self.kinds else None
         sphere = scene.bbox().bounding_sphere()
         self._centre, self._radius = mi.Point3f(sphere.center), mi.Float(DISK_MARGIN * sphere.radius)
-        cones = np.array([cone_of(light, sphere.center, DISK_MARGIN * float(sphere.radius)) for light in lights])
-        self._cones, self._heights = on_device(mi.Float, cones), cones[:, 3]
+        centre, radius = np.array(sphere.center, np.float64).ravel(), DISK_MARGIN * float(sphere.radius)
+        self._cones = Cones(lights, scene, centre, radius)
         dr.make_opaque(self._centre, self._radius)  # Data, not code: scenes share kernels.
         surround = [light for light in lights if light.kind in ENVIRONMENTS]
         self._around = dr.opaque(mi.UInt32, int(ids[lights.index(surround[0])]) if surround else 0)
@@ -249,13 +249,16 @@ class Emission:
         frame = mi.Frame3f(point.si.n)
         direction, origin = n, point.si.p
         if self.has_surface:
-            direction = frame.to_world(mi.warp.square_to_cosine_hemisphere(u))
+            aimed, towards, left = False, n, u
+            if self._cones.aims:
+                on_surface = active & ~(point.delta | point.infinite)
+                aimed, towards, left = self._cones.aimed(point.index, point.si.p, u, on_surface)
+            direction = frame.to_world(mi.warp.square_to_cosine_hemisphere(left))
+            direction = dr.select(aimed, towards, direction)
             origin = self.rays.leaving.off(point.si.p, n, direction)
         if self.has_point:
-            cone = dr.gather(mi.Vector4f, self._cones, point.index, active)
-            around = mi.Frame3f(mi.Normal3f(cone.x, cone.y, cone.z)).to_world(_in_cone(u, cone.w))
             at_point = point.delta & ~point.infinite
-            direction = dr.select(at_point, around, direction)
+            direction = dr.select(at_point, self._cones.from_point(point.index, u, active), direction)
             origin = dr.select(at_point, point.si.p, origin)
         if self.has_infinite:
             disk = mi.warp.square_to_uniform_disk_concentric(u)
@@ -264,16 +267,25 @@ class Emission:
         return mi.Ray3f(origin, direction, self.time, point.si.wavelengths)
 
     def pdf_direction(
-        self, index: mi.UInt32, delta: mi.Bool, cosine: mi.Float, active: mi.Bool, *, infinite: mi.Bool
+        self,
+        index: mi.UInt32,
+        p: mi.Point3f,
+        direction: mi.Vector3f,
+        cosine: mi.Float,
+        active: mi.Bool,
+        *,
+        delta: mi.Bool,
+        infinite: mi.Bool,
     ) -> mi.Float:
-        """Density of :meth:`first_ray` given its point, ``cosine`` as :meth:`radiance` gives it.
+        """Density of :meth:`first_ray` given its point ``p``, ``cosine`` as :meth:`radiance` gives it.
 
         Solid angle of the direction; at infinity area of the origin on the disk.
         """
         pdf = cosine * dr.inv_pi
+        if self._cones.aims:
+            pdf = self._cones.mixed(pdf, index, p, direction, active)
         if self.has_point:
-            cone = dr.gather(mi.Vector4f, self._cones, index, active)
-            pdf = dr.select(delta, dr.inv_two_pi * dr.rcp(cone.w), pdf)
+            pdf = dr.select(delta, self._cones.pdf_point(index, active), pdf)
         if self.has_infinite:
             pdf = dr.select(infinite, dr.inv_pi * dr.rcp(dr.square(self._radius)), pdf)
         return pdf
@@ -302,7 +314,7 @@ class Emission:
         """Average emission over a grid on each emitter, times its area and solid angle; closed forms where they are."""
         known = self._radiance.known
         # Light of a surface into all directions of a half space, and of a point into those of its cone.
-        around = np.where(np.isin(self._kinds, SURFACES), np.pi * self._areas, 2.0 * np.pi * self._heights)
+        around = np.where(np.isin(self._kinds, SURFACES), np.pi * self._areas, 2.0 * np.pi * self._cones.heights)
         bright = self._radiance.values @ (np.ones(1) if mi.is_monochromatic else luminance_weights())
         power: NDArray[np.float64] = np.where(known, around * bright, 0.0)
         if not known.all():
@@ -326,14 +338,9 @@ class Emission:
         around = self.first_ray(point, mi.Point2f(u.y, u.x), active).d
         direction = dr.select(point.delta | point.infinite, around, direction)
         value, _ = self.radiance(point, direction, active)
-        one = self.pdf_direction(index, point.delta, mi.Float(1.0), active, infinite=point.infinite)
+        delta, infinite = point.delta, point.infinite
+        one = self.pdf_direction(index, point.si.p, direction, mi.Float(1.0), active, delta=delta, infinite=infinite)
+        # Wherever a surface's paths are aimed, it shines into all directions.
+        one = dr.select(delta | infinite, one, dr.inv_pi)
         flux = np.array(luminance(value * weight, wavelengths) / (point.pdf * one), np.float64)
         return np.asarray(np.nan_to_num(flux.reshape(len(emitters), cells).mean(axis=1), nan=0.0, posinf=0.0))
-
-
-def _in_cone(u: mi.Point2f, height: mi.Float) -> mi.Vector3f:
-    """Uniform in the cone around z of directions with 1 - cos below ``height``, which may be tiny."""
-    disk = mi.warp.square_to_uniform_disk_concentric(u)
-    below = height * dr.squared_norm(disk)
-    across = disk * dr.safe_sqrt(height * (2.0 - below))
-    return mi.Vector3f(across.x, across.y, 1.0 - below)

@@ -183,25 +183,6 @@ def _describe_other(emitter: Any) -> Light:
     return Light(kind, emitter, None, 1.0, to_local, place, 1.0, cutoff, key)
 
 
-def cone_of(light: Light, centre: Any, radius: float) -> tuple[float, float, float, float]:
-    """The cone that light paths of an emitter without extent start into: its axis, and 1 - cos of its half angle.
-
-    It holds all light that the emitter sends, or the whole scene, a ball with this ``centre`` [3] and ``radius``:
-    whichever is the narrower. Of a lamp far away the scene is a tiny part of what it lights.
-    """
-    axis = np.array(light.key[3:6]) if light.kind in POINTS and any(light.key[3:6]) else np.array((0.0, 0.0, 1.0))
-    height = 1.0 - light.cos_cutoff
-    if light.kind in POINTS:
-        to_scene = np.array(centre, np.float64) - light.position
-        distance = float(np.linalg.norm(to_scene))
-        if radius < distance < np.inf:
-            sine = radius / distance
-            around = sine**2 / (1.0 + np.sqrt(1.0 - sine**2))
-            if around < height:
-                axis, height = to_scene / distance, around
-    return (*map(float, axis), float(height))
-
-
 def _along_curve(places: Matrix) -> list[int]:
     """Where points [n, 3] are along Morton's curve through their bounding box; beyond its end at infinity."""
     finite = np.isfinite(places).all(axis=1)

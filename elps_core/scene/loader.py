@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from elps_core.scene.emission import Emission
-    from elps_core.scene.placing import Placement
+    from elps_core.scene.placement import Placement
 
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
@@ -85,7 +85,7 @@ class LoadedScene:
     surroundings: str
     """Digest of the scene without its cameras."""
     extent: float = 1.0
-    """How large it is as it is rendered: see :mod:`elps_core.scene.placing`."""
+    """How large it is as it is rendered: see :mod:`elps_core.scene.placement`."""
 
     @cached_property
     def emission(self) -> Emission:
@@ -278,7 +278,7 @@ class _Made:
 
 
 def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
-    from elps_core.scene import merging, placing  # here: they need the variant that is set by now
+    from elps_core.scene import merging, placement, placing  # here: they need the variant that is set by now
 
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
@@ -292,17 +292,21 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
     mi_.set_log_level(mi_.LogLevel.Error)
     try:
         state = _parse(mi_, config, canonical)
+        measuring = placing.rough(state)
+        if measuring.moves:
+            placing.place(state, measuring)
         names, maps = merging.candidates(state), placing.file_maps(state)
         parts = merging.make_parts(config, state)
         triangles = measure.triangles(merging.shapes_of(parts))
-        placement, coarse = placing.measured(merging.shapes_of(parts)), placing.coarse_meshes(parts, maps)
-        if placement.moves:
+        placed = placement.measured(merging.shapes_of(parts), measuring)
+        coarse = placement.coarse_meshes(parts, maps)
+        if not placed.puts_as(measuring):
             del parts
             state = _parse(mi_, config, canonical)
-            placement = placing.place(state, placement)
+            placed = placing.place(state, placed)
             names = merging.candidates(state)
             parts = merging.make_parts(config, state)
-            placing.place_made(merging.shapes_of(parts), placement)
+            placing.place_made(merging.shapes_of(parts), placed)
         parts = merging.merge(parts, names)
         scene = merging.make_scene(parts)
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
@@ -311,7 +315,7 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
         raise SceneRejected(_explain(str(error), canonical)) from None
     finally:
         mi_.set_log_level(level)
-    return _Made(scene, triangles, placement, (*coarse, *placing.remote(scene, placement)))
+    return _Made(scene, triangles, placed, (*coarse, *placement.remote(scene, placed)))
 
 
 def _parse(mi_: Any, config: Any, canonical: CanonicalScene) -> Any:

@@ -1,42 +1,24 @@
-"""Scenes that stand far from the origin, or are very small or large: moved and scaled before Mitsuba makes them.
+"""Put a placement into a parsed scene, before Mitsuba makes it.
 
-Single precision and the offsets of rays are made for a room near the origin. A similarity p -> s (p - c) of everything
-that has a place or a length brings any scene there. It is put into a parsed scene, whose numbers are double, so that
-c and the place of an object cancel before they are rounded. Radiance stays what it is, so that images do.
-
-The similarity follows from the bounding boxes of the shapes alone: all cameras of a scene share it, and so do contexts.
-s is a power of two and c a multiple of one, so that coordinates that single precision holds stay exact.
+Everything that has a place or a length is moved and scaled (:mod:`elps_core.scene.placement`). Numbers of a parsed
+scene are double, so that c and the place of an object cancel before they are rounded. Radiance stays what it is, so
+that images do.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
-from elps_core.scene.text import shown
+from elps_core.scene.placement import UNMOVED, Matrix, Placement, in_steps, middle_of
 
-Matrix = NDArray[np.float64]
-
-USUAL_SIZES = (0.1, 1000.0)
-"""Sizes in the scene's own units that are left as they are: from a drawer in metres to a room in centimetres."""
-GOAL = 4.0
-"""Size, to the next power of two, of scenes that are scaled: that of a room in metres."""
-FAR_OFF = 10.0
-"""Distance from the origin, over the scene's size, from which on a scene is moved. Mitsuba moves origins of rays off
-surfaces by 9e-5 (1 + |p|): there, a thousandth of the scene's size."""
-ALIKE = 16.0
-"""A shape that is larger than a typical one by this factor tells nothing of where a scene is: an endless floor."""
-MOST_REMOTE = 1e4
-"""Distance of a camera or a lamp, over the scene's size, up to which images are held to be right."""
-COARSE = 4096.0
-"""Distance of a mesh from the origin of its own file, over its size: there, steps of single precision are 1/4000 of
-it."""
+ROUGH = 1000.0
+"""Distance of most shapes from the origin, over their size, from which on their boxes are not measured there: Mitsuba
+takes a rectangle that is rounded so far for a skewed one."""
 _POINTS = {"sphere": ("center",), "cylinder": ("p0", "p1")}
 """Shape -> its parameters that are points before its to_world."""
 _CENTRAL = frozenset({"perspective", "thinlens", "radiancemeter"})
@@ -53,56 +35,19 @@ _CURVES = frozenset({"BSplineCurve", "LinearCurve"})
 """Shapes whose radii come with their file, and are not scaled by their to_world."""
 
 
-@dataclass(frozen=True)
-class Placement:
-    """The similarity p -> scale (p - centre), and how large the scene was before it."""
-
-    centre: tuple[float, float, float]
-    scale: float
-    size: float
-    """In the scene's own units, of what there is most of."""
-
-    @property
-    def moves(self) -> bool:
-        """Whether it changes anything."""
-        return self.scale != 1.0 or any(self.centre)
-
-    @property
-    def placed_size(self) -> float:
-        """Size of the scene as it is rendered."""
-        return self.scale * self.size
-
-    def matrix(self) -> Matrix:
-        """The similarity in homogeneous coordinates [4, 4]."""
-        found = self.scale * np.eye(4)
-        found[:3, 3] = -self.scale * np.array(self.centre)
-        found[3, 3] = 1.0
-        return found
-
-
-def measured(shapes: Iterable[mi.Shape]) -> Placement:
-    """The placement of a scene of these ``shapes``, which stand where the scene file puts them.
-
-    What most shapes have in common counts: neither an endless floor nor a ball for a sun makes a room small.
-    """
-    boxes = [shape.bbox() for shape in shapes if shape.class_name() != "ShapeGroup"]
-    corners = np.array([[list(box.min), list(box.max)] for box in boxes], np.float64).reshape(-1, 2, 3)
-    corners = corners[np.isfinite(corners).all(axis=(1, 2))]
-    sizes = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-    corners, sizes = corners[sizes > 0.0], sizes[sizes > 0.0]
-    if not len(sizes):
-        return Placement((0.0, 0.0, 0.0), 1.0, 1.0)
-    typical = _middle(sizes)
-    middles = corners[sizes <= ALIKE * typical].mean(axis=1)
-    centre = np.array([_middle(axis) for axis in middles.T])
-    size = max(typical, 2.0 * _middle(np.linalg.norm(middles - centre, axis=1)))
-    usual = USUAL_SIZES[0] <= size <= USUAL_SIZES[1]
-    if usual and 1.0 + np.abs(centre).max() <= FAR_OFF * size:
-        return Placement((0.0, 0.0, 0.0), 1.0, size)
-    step = 2.0 ** np.floor(np.log2(size))
-    x, y, z = (float(step * np.round(c / step)) for c in centre)
-    scale = 1.0 if usual else 2.0 ** float(np.round(np.log2(GOAL / size)))
-    return Placement((x, y, z), scale, size)
+def rough(state: Any) -> Placement:
+    """A placement that shapes can be measured in, from what a parsed scene says of them but not their files."""
+    props = [state.nodes[number].props for number in _standing(state)]
+    maps = [_pulled(each)[0] for each in props]
+    if not maps:
+        return UNMOVED
+    radii = [float(each.get("radius", 1.0)) for each in props]
+    sizes = [np.linalg.norm(each[:3, :3]) * radius for each, radius in zip(maps, radii, strict=True)]
+    size = middle_of(np.array(sizes))
+    centre = np.array([middle_of(axis) for axis in np.array([each[:3, 3] for each in maps]).T])
+    if not 0.0 < size * ROUGH < np.abs(centre).max() < np.inf:
+        return UNMOVED
+    return Placement(in_steps(centre, size), 1.0, size)
 
 
 def place(state: Any, placement: Placement) -> Placement:
@@ -113,12 +58,11 @@ def place(state: Any, placement: Placement) -> Placement:
     if not all(_scalable(state, node) for node in state.nodes):
         placement = Placement(placement.centre, 1.0, placement.size)
     _unshare(state)
-    # They stay where they are, and their instances move.
-    grouped = {index for node in state.nodes if node.props.plugin_name() == "shapegroup" for _, index in _parts(node)}
+    standing = set(_standing(state))
     for number in range(len(state.nodes)):
         node = state.nodes[number]
         kind, props = node.type, node.props
-        if kind == mi.ObjectType.Shape and number not in grouped and props.plugin_name() != "shapegroup":
+        if number in standing:
             _place_shape(props, placement)
         elif kind == mi.ObjectType.Volume and props.plugin_name() == "gridvolume":
             _set_to_world(props, placement.matrix() @ _to_world(props))
@@ -155,54 +99,21 @@ def file_maps(state: Any) -> dict[str, Matrix]:
     }
 
 
-def coarse_meshes(parts: mi.Properties, maps: dict[str, Matrix]) -> tuple[str, ...]:
-    """A warning if meshes stand so far from the origins of their files that single precision bends them.
-
-    ``parts`` are a scene's parameters as they are made without a placement, ``maps`` those of :func:`file_maps`.
-    """
-    found = []
-    for name, part in parts.objects():
-        if name in maps and abs(np.linalg.det(maps[name][:3, :3])) > 0.0:
-            box = part.bbox()
-            low, high = (np.array([*corner, 1.0]) for corner in (box.min, box.max))
-            back = np.linalg.inv(maps[name])
-            if np.linalg.norm((back @ (low + high) / 2.0)[:3]) > COARSE * np.linalg.norm((back @ (high - low))[:3]):
-                found.append(part.id())
-    if not found:
-        return ()
-    return (
-        f"{len(found)} meshes, such as '{shown(found[0])}', lie so far from the origin of their own files that single "
-        "precision bends them: move their vertices to the origin and put the place into to_world",
-    )
-
-
-def remote(scene: mi.Scene, placement: Placement) -> tuple[str, ...]:
-    """Warnings about cameras and lamps of a scene that is made that are too far away for single precision."""
-    middle = np.zeros(3) if placement.moves else np.array(placement.centre)
-    most = MOST_REMOTE * placement.placed_size
-    lines = []
-    for what, ends in (("a camera", scene.sensors()), ("a lamp", scene.emitters())):
-        boxes = [end.bbox() for end in ends]
-        places = np.array([[list(box.min), list(box.max)] for box in boxes], np.float64).reshape(-1, 2, 3)
-        places = places[np.isfinite(places).all(axis=(1, 2))].mean(axis=1)
-        if (np.linalg.norm(places - middle, axis=1) > most).any():
-            lines.append(
-                f"{what} is more than {MOST_REMOTE:,.0f} times the scene's size away: single precision may not be "
-                "enough for it: move it closer"
-            )
-    return tuple(lines)
-
-
 def _place_shape(props: mi.Properties, placement: Placement) -> None:
-    matrix = _to_world(props)
-    names = [name for name in _POINTS.get(props.plugin_name(), ()) if name in props]
-    if names:
-        # Pulled into the matrix, where they meet the centre in double precision.
-        origin = _point(props, names[0])
-        matrix = matrix @ _translation(origin)
-        for name in names:
-            _set_point(props, name, _point(props, name) - origin)
+    matrix, points = _pulled(props)
+    for name, point in points.items():
+        _set_point(props, name, point)
     _set_to_world(props, placement.matrix() @ matrix)
+
+
+def _pulled(props: mi.Properties) -> tuple[Matrix, dict[str, Matrix]]:
+    """A shape's to_world and its points, the first pulled into the map: there it meets c in double precision."""
+    matrix = _to_world(props)
+    points = {name: _point(props, name) for name in _POINTS.get(props.plugin_name(), ()) if name in props}
+    origin = next(iter(points.values()), np.zeros(3))
+    pull = np.eye(4)
+    pull[:3, 3] = origin
+    return matrix @ pull, {name: point - origin for name, point in points.items()}
 
 
 def _place_sensor(props: mi.Properties, placement: Placement) -> None:
@@ -256,6 +167,17 @@ def _scale_value(state: Any, props: mi.Properties, name: str, factor: float) -> 
         props[name] = type(value)(value * factor)
 
 
+def _standing(state: Any) -> list[int]:
+    """Nodes that are shapes of the scene. Parts of groups are none: they stay where they are, and instances move."""
+    groups = [node for node in state.nodes if node.props.plugin_name() == "shapegroup"]
+    grouped = {index for group in groups for _, index in _parts(group)}
+    return [
+        number
+        for number, node in enumerate(state.nodes)
+        if node.type == mi.ObjectType.Shape and node.props.plugin_name() != "shapegroup" and number not in grouped
+    ]
+
+
 def _unshare(state: Any) -> None:
     """Give lamps spectra of their own, and shape groups copies of the shapes that stand in the scene as well."""
     alone = {index for node in state.nodes if node.props.plugin_name() != "shapegroup" for _, index in _parts(node)}
@@ -292,20 +214,9 @@ def _moved(matrix: Matrix, placement: Placement) -> Matrix:
     return found
 
 
-def _translation(offset: Matrix) -> Matrix:
-    found = np.eye(4)
-    found[:3, 3] = offset
-    return found
-
-
 def _point(props: mi.Properties, name: str) -> Matrix:
     return np.array([float(value) for value in props[name]])
 
 
 def _set_point(props: mi.Properties, name: str, point: Matrix) -> None:
     props[name] = mi.ScalarPoint3d(*(float(value) for value in point))
-
-
-def _middle(values: Matrix) -> float:
-    """The median; of an even number the lower one, as a scene that is taken to be too small renders right as well."""
-    return float(np.sort(values)[(len(values) - 1) // 2])
