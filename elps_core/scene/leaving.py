@@ -1,7 +1,7 @@
 """Rays that leave surfaces: from as close to them as rounding allows.
 
 A ray that starts on a surface, as far as single precision tells it, may meet the surface itself. It starts off it by a
-distance that follows the rounding of coordinates. Mitsuba's own distance is twenty times as long: light paths that
+distance that follows the rounding of coordinates. Mitsuba's own distance is a dozen times as long: light paths that
 start displaced by it are some percents off in a scene of size 4 that stands 1000 units from the origin, and rays to
 the sensor meet the edges of cracks that the sensor sees past.
 """
