@@ -113,4 +113,6 @@ class Renderer:
         scene, sensor = self.scene.scene, self.scene.sensor
         image = mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
         pixels = np.array(image, np.float32)
+        if self.settings.integrator == "mi_depth":
+            pixels /= self.scene.scale
         return np.ascontiguousarray(np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3])

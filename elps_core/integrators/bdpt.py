@@ -316,7 +316,7 @@ class Bdpt:
             partial=self._full(self.heuristic.start(pdf_point, cosine, pdf, "light", self._fraction), lanes),
             eta=dr.ones(mi.Float, lanes),
             depth=dr.zeros(mi.UInt32, lanes),
-            offset=dr.zeros(mi.Float, lanes),
+            offset=emission.gap(point, active) + dr.zeros(mi.Float, lanes),
             parallel=point.infinite & dr.full(mi.Bool, True, lanes),
             raised=dr.ones(mi.Float, lanes),
             worth=dr.ones(mi.Float, lanes) * (self.worth.gain if self.worth else 1.0),

@@ -334,7 +334,7 @@ class PathJoiner:
         leaving = self._surfaces.leaving
         start = leaving.off(eye.p, eye.n, target - eye.p)
         # At the film from the surface to the sensor's near clip plane.
-        start = dr.select(at_film, leaving.off(light.p, light.n, sample.direction), start)
+        start = dr.select(at_film, leaving.along(light.p, light.n, sample.direction), start)
         end = dr.select(at_film, light.p + sample.direction * (sample.distance - sample.near), target)
         return self._surfaces.blocked(leaving.between(start, end), active)
 

@@ -178,7 +178,7 @@ class Connector:
         wo = vertex.si.to_local(sample.direction)
         active = active & sample.valid & self._is_shown(vertex.depth + 1, 1)
         active = active & self.surfaces.may_scatter(vertex.si, wo)
-        start = self.surfaces.leaving.off(vertex.si.p, vertex.si.n, sample.direction)
+        start = self.surfaces.leaving.along(vertex.si.p, vertex.si.n, sample.direction)
         active = active & ~self.hidden(start, vertex.si.p, sample, active)
         cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
         seen = self.directions.seen(vertex.si, wo, cosine, "light", active)

@@ -36,6 +36,10 @@ class Cones:
         self._rows = on_device(mi.Float, rows)
         self.heights: NDArray[np.float64] = rows[:, 3]
         """1 - cos of the half angle of each emitter's own cone [count]; 2 where it has none."""
+        gaps = [_gap(light, centre, radius) for light in lights]
+        self.advances = any(gaps)
+        """Whether paths of some emitter without extent start close to the scene, and not at the emitter."""
+        self._gaps = on_device(mi.Float, gaps)
         box = mi.ScalarBoundingBox3f()
         for shape in scene.shapes():
             if not shape.is_emitter():
@@ -54,6 +58,11 @@ class Cones:
         """A direction from an emitter without extent; density by :meth:`pdf_point`."""
         row = dr.gather(mi.Vector4f, self._rows, index, active)
         return _in_cone(mi.Vector3f(row.x, row.y, row.z), row.w, u)
+
+    def gap(self, index: mi.UInt32, active: mi.Bool) -> mi.Float:
+        """Distance from an emitter without extent in which paths meet nothing: single precision would lose there what
+        a ray meets close to the scene."""
+        return dr.gather(mi.Float, self._gaps, index, active)
 
     def pdf_point(self, index: mi.UInt32, active: mi.Bool) -> mi.Float:
         """Density of :meth:`from_point` per solid angle."""
@@ -94,6 +103,12 @@ def _of_point(light: Light, centre: Matrix, radius: float) -> tuple[float, float
         if around < height:
             axis, height = away / np.linalg.norm(away), around
     return (*map(float, axis), float(height))
+
+
+def _gap(light: Light, centre: Matrix, radius: float) -> float:
+    """Distance between an emitter without extent and the ball, where it is far away."""
+    distance = float(np.linalg.norm(centre - light.position)) if light.kind in POINTS else 0.0
+    return distance - radius if _height(distance, radius) < NARROW else 0.0
 
 
 def _is_far(light: Light, middle: Matrix, radius: float) -> bool:

@@ -30,7 +30,7 @@ from elps_core.scene.emitters import (
     describe_emitters,
 )
 from elps_core.scene.environment import Environment
-from elps_core.scene.groups import MaterialFlags, every_shape, numbers
+from elps_core.scene.groups import MaterialFlags, every_shape, local_reach, numbers
 from elps_core.scene.leaving import Leaving
 from elps_core.scene.meeting import Meeting
 from elps_core.scene.meshlight import MeshLights
@@ -101,7 +101,7 @@ class Emission:
         self._on_shapes = ShapeLights(lights)
         self.flags = MaterialFlags(scene)
         """Of the materials in the scene, lamps' own included."""
-        self.rays = Meeting(scene, lights, self._on_shapes, Leaving(extent))
+        self.rays = Meeting(scene, lights, self._on_shapes, Leaving(max(extent, local_reach(scene))))
         """What rays meet in the scene, lamps included."""
         self._meshes = MeshLights(lights) if "mesh" in self.kinds else None
         sphere = scene.bbox().bounding_sphere()
@@ -259,12 +259,17 @@ class Emission:
         if self.has_point:
             at_point = point.delta & ~point.infinite
             direction = dr.select(at_point, self._cones.from_point(point.index, u, active), direction)
-            origin = dr.select(at_point, point.si.p, origin)
+            start = point.si.p + direction * self.gap(point, active) if self._cones.advances else point.si.p
+            origin = dr.select(at_point, start, origin)
         if self.has_infinite:
             disk = mi.warp.square_to_uniform_disk_concentric(u)
             start = self._centre + (frame.to_world(mi.Vector3f(disk.x, disk.y, 0.0)) - n) * self._radius
             direction, origin = dr.select(point.infinite, n, direction), dr.select(point.infinite, start, origin)
         return mi.Ray3f(origin, direction, self.time, point.si.wavelengths)
+
+    def gap(self, point: LightPoint, active: mi.Bool) -> mi.Float:
+        """Distance from ``point`` to the origin of :meth:`first_ray`, but from infinity."""
+        return self._cones.gap(point.index, active) if self._cones.advances else mi.Float(0.0)
 
     def pdf_direction(
         self,

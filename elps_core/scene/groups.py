@@ -35,6 +35,24 @@ def every_shape(scene: mi.Scene) -> list[mi.Shape]:
     return list(dict.fromkeys([*shapes, *_parts(scene)]))
 
 
+def local_reach(scene: mi.Scene) -> float:
+    """How far from the origins of their groups instances have their surfaces, in world units; 0 without instances.
+
+    Single precision rounds the coordinates of what they repeat there, before they are put in place.
+    """
+    reach = 0.0
+    for instance in scene.shapes():
+        if instance.class_name() == "Instance":
+            parts = _Parts()
+            instance.traverse(parts)
+            centres = [np.array(part.bbox().center(), np.float64).ravel() for part in parts.shapes]
+            scale = np.linalg.norm(
+                np.array(mi.traverse(instance)["to_world"].matrix, np.float64).reshape(4, 4)[:3, :3], 2
+            )
+            reach = max([reach, *(float(scale * np.linalg.norm(centre)) for centre in centres)])
+    return reach
+
+
 def numbers(shapes: list[mi.Shape]) -> NDArray[np.int64]:
     """By which pointers name shapes in kernels [n], from 1 on; 0 is none."""
     found = np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes)) if shapes else [], np.int64)

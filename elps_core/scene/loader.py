@@ -86,6 +86,8 @@ class LoadedScene:
     """Digest of the scene without its cameras."""
     extent: float = 1.0
     """How large it is as it is rendered: see :mod:`elps_core.scene.placement`."""
+    scale: float = 1.0
+    """How much larger it is rendered than it is: what lengths in images are to be divided by."""
 
     @cached_property
     def emission(self) -> Emission:
@@ -128,11 +130,13 @@ def load_scene(source: Path, variant: str, *, sensor: int = 0, size: tuple[int, 
         made = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
         summary = _summarize(made, canonical)
-    scene, extent = made.scene, made.placement.placed_size
+    scene, extent, scale = made.scene, made.placement.placed_size, made.placement.scale
     chosen = scene.sensors()[sensor]
     shown_size = summary.sensors[sensor]
     film = (shown_size.width, shown_size.height)
-    return LoadedScene(scene, chosen, canonical.digest, summary, variant, film, sensor, canonical.surroundings, extent)
+    return LoadedScene(
+        scene, chosen, canonical.digest, summary, variant, film, sensor, canonical.surroundings, extent, scale
+    )
 
 
 def canonicalize(xml: Path, *, sensor: int = 0, size: tuple[int, int] | None = None) -> CanonicalScene:
@@ -309,6 +313,7 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
             placing.place_made(merging.shapes_of(parts), placed)
         parts = merging.merge(parts, names)
         scene = merging.make_scene(parts)
+        placement.approach(scene)
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
         if isinstance(error, MemoryError) or "bad_alloc" in str(error):
             raise SceneRejected(_TOO_LARGE) from None

@@ -27,6 +27,12 @@ FAR_OFF = 10.0
 surfaces by 9e-5 (1 + |p|): there, a thousandth of the scene's size."""
 ALIKE = 16.0
 """A shape that is larger than a typical one by this factor tells nothing of where a scene is: an endless floor."""
+APPROACH = 10.0
+"""Distance of a camera, over the radius of the ball around all shapes, from which on its near clip plane is moved."""
+MARGIN = 1.01
+"""Radius of the ball that near clip planes are moved up to, over that around all shapes: rounding must not cut them."""
+_PLANES = frozenset({"PerspectiveCamera", "ThinLensCamera", "OrthographicCamera"})
+"""Cameras that have a near clip plane."""
 MOST_REMOTE = 1e4
 """Distance of a camera or a lamp, over the scene's size, up to which images are held to be right."""
 COARSE = 4096.0
@@ -127,6 +133,25 @@ def remote(scene: mi.Scene, placement: Placement) -> tuple[str, ...]:
                 "enough for it: move it closer"
             )
     return tuple(lines)
+
+
+def approach(scene: mi.Scene) -> None:
+    """Move the near clip planes of cameras far away up to the scene: what rays meet is rounded as their length is."""
+    ball = scene.bbox().bounding_sphere()
+    centre, radius = np.array(ball.center, np.float64).ravel(), MARGIN * float(ball.radius)
+    for sensor in scene.sensors():
+        if sensor.class_name() not in _PLANES or not 0.0 < radius < np.inf:
+            continue
+        matrix = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+        unit = float(np.linalg.norm(matrix[:3, 2]))
+        gap = float((centre - matrix[:3, 3]) @ matrix[:3, 2]) / unit - radius
+        near, far = float(sensor.near_clip()), float(sensor.far_clip())
+        if APPROACH * radius < gap < far and gap / unit > near:
+            parameters = mi.traverse(sensor)
+            parameters["near_clip"] = gap / unit
+            # Of parallel rays the range from the near clip plane on counts.
+            parameters["far_clip"] = far + (gap / unit - gap) if sensor.class_name() == "OrthographicCamera" else far
+            parameters.update()
 
 
 def in_steps(centre: Matrix, size: float) -> tuple[float, float, float]:

@@ -204,7 +204,7 @@ def _to_world(props: mi.Properties) -> Matrix:
 
 
 def _set_to_world(props: mi.Properties, matrix: Matrix) -> None:
-    props["to_world"] = mi.AffineTransform4d(matrix)
+    props["to_world"] = mi.ScalarAffineTransform4d(matrix)
 
 
 def _moved(matrix: Matrix, placement: Placement) -> Matrix:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from elps_core.renderer import Renderer
 from elps_core.scene.loader import load_scene
 from elps_core.settings import RenderSettings, with_overrides
 from tests.agreement import compare
@@ -66,10 +65,12 @@ def room(
 
 
 def images(xml: str, algorithm: str, tmp_path: Path) -> Any:
+    from elps_core.renderer import Renderer
+
     path = tmp_path / "scene.xml"
     path.write_text(xml)
     loaded = load_scene(path, "llvm_ad_rgb")
-    settings = {"integrator": algorithm, "max_depth": 4, "roulette": "none"}
+    settings = {"integrator": algorithm, "max_depth": 4, "roulette": "none", "light_sampling": "power"}
     renderer = Renderer(loaded, with_overrides(RenderSettings(), settings))
     return np.stack([renderer.render_chunk(index, SPP).image for index in range(IMAGES)])
 
