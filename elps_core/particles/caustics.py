@@ -122,7 +122,7 @@ class CausticSampler:
         axis = mi.Frame3f(dr.select(distance > 0.0, away / distance, mi.Vector3f(0.0, 0.0, 1.0)))
         direction = axis.to_world(mi.warp.square_to_uniform_cone(u, cos_cone))
         leaving = self._lights.emission.rays.leaving
-        origin, per_pdf = leaving.off(point.si.p, point.si.n, direction), dr.two_pi * (1.0 - cos_cone)
+        origin, per_pdf = leaving.off(point.si, direction), dr.two_pi * (1.0 - cos_cone)
         # From infinity the disk across the sphere.
         travels = mi.Vector3f(point.si.n)
         disk = mi.warp.square_to_uniform_disk_concentric(u)

@@ -246,8 +246,10 @@ class PathJoiner:
         eye_passes = ready & (dr.max(to_light) > 0.0)
         light_passes = ready & (dr.max(to_eye) > 0.0) & (~from_lamp | (dr.max(emitted) > 0.0))
         joined = eye_passes | light_passes
-        end = self._surfaces.leaving.off(light_si.p, light_si.n, -direction)
-        joined = joined & ~self._blocked(eye_si, light_si, dr.select(from_lamp, target, end), sample, at_film, joined)
+        end = self._surfaces.leaving.off(light_si, -direction)
+        flags, target = self._surfaces.flags, dr.select(from_lamp, target, end)
+        at_round = dr.select(from_lamp, flags.round(point.si, joined), flags.round(light_si, joined))
+        joined = joined & ~self._blocked(eye_si, light_si, target, at_round, sample, at_film, joined)
         eye_passes, light_passes = joined & eye_passes, joined & light_passes
         inverse = dr.select(joined, dr.rcp(distance2), 0.0)
 
@@ -326,17 +328,18 @@ class PathJoiner:
         eye: mi.SurfaceInteraction3f,
         light: mi.SurfaceInteraction3f,
         target: mi.Point3f,
+        at_round: mi.Bool,
         sample: SensorSample,
         at_film: mi.Bool,
         active: mi.Bool,
     ) -> mi.Bool:
         """Whether something stands between the ends. One ray for all strategies."""
         leaving = self._surfaces.leaving
-        start = leaving.off(eye.p, eye.n, target - eye.p)
+        start = leaving.off(eye, target - eye.p)
         # At the film from the surface to the sensor's near clip plane.
-        start = dr.select(at_film, leaving.along(light.p, light.n, sample.direction), start)
+        start = dr.select(at_film, leaving.along(light, sample.direction), start)
         end = dr.select(at_film, light.p + sample.direction * (sample.distance - sample.near), target)
-        return self._surfaces.blocked(leaving.between(start, end), active)
+        return self._surfaces.blocked(leaving.between(start, end, at_round & ~at_film), active)
 
 
 def _sum(ratios: Ratios) -> mi.Float:

@@ -19,9 +19,11 @@ class Surfaces:
         self.bends_frames = self.flags.bends_frames
         """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
 
-    def shadowed(self, si: mi.SurfaceInteraction3f, target: mi.Point3f, active: mi.Bool) -> mi.Bool:
-        """Whether something stands between a surface point and a point that is on no surface, or off it."""
-        return self.blocked(self.leaving.to(si, target), active)
+    def shadowed(
+        self, si: mi.SurfaceInteraction3f, target: mi.Point3f, on: mi.SurfaceInteraction3f, active: mi.Bool
+    ) -> mi.Bool:
+        """Whether something stands between a surface point and ``target``, off the surface ``on`` or on none."""
+        return self.blocked(self.leaving.to(si, target, self.flags.round(on, active)), active)
 
     def blocked(self, ray: mi.Ray3f, active: mi.Bool) -> mi.Bool:
         """Whether a ray meets something before its end. All shadow rays are traced here."""

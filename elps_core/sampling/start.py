@@ -133,7 +133,7 @@ class StartDensity:
         by_table, direction, u = self._departures.choose(start.cell, u, from_surface)
         ray = self.emission.first_ray(point, u, active)
         ray.d = dr.select(by_table, direction, ray.d)
-        ray.o = dr.select(by_table, self.emission.rays.leaving.off(point.si.p, point.si.n, direction), ray.o)
+        ray.o = dr.select(by_table, self.emission.rays.leaving.off(point.si, direction), ray.o)
         return ray
 
     def pdf_direction(

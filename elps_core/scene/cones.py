@@ -14,6 +14,8 @@ SHARE = 0.5
 """Chance that a light path from a surface far away is aimed at the scene; else it goes wherever the lamp shines."""
 NARROW = 0.01
 """1 - cos of the half angle, 8 degrees, of the cone around the scene below which paths from a surface are aimed."""
+NARROWEST = 1e-12
+"""Least 1 - cos of the half angle, a millionth of a radian: single precision tells two dozen directions across it."""
 MARGIN = 1.01
 """Radius of the ball that paths are aimed at, over that around the shapes in it: rounding must not cut the scene."""
 
@@ -90,7 +92,7 @@ class Cones:
         away = self._centre - p
         distance = dr.norm(away)
         sine2 = dr.minimum(dr.square(self._radius / distance), 1.0)
-        return away / distance, sine2 / (1.0 + dr.sqrt(1.0 - sine2))
+        return away / distance, dr.maximum(sine2 / (1.0 + dr.sqrt(1.0 - sine2)), NARROWEST)
 
 
 def _of_point(light: Light, centre: Matrix, radius: float) -> tuple[float, float, float, float]:
@@ -125,7 +127,7 @@ def _height(distance: float, radius: float) -> float:
     if not 0.0 < radius < distance < np.inf:
         return 2.0
     sine2 = (radius / distance) ** 2
-    return float(sine2 / (1.0 + np.sqrt(1.0 - sine2)))
+    return max(float(sine2 / (1.0 + np.sqrt(1.0 - sine2))), NARROWEST)
 
 
 def _in_cone(axis: mi.Vector3f, height: mi.Float, u: mi.Point2f) -> mi.Vector3f:

@@ -255,7 +255,7 @@ class Emission:
                 aimed, towards, left = self._cones.aimed(point.index, point.si.p, u, on_surface)
             direction = frame.to_world(mi.warp.square_to_cosine_hemisphere(left))
             direction = dr.select(aimed, towards, direction)
-            origin = self.rays.leaving.off(point.si.p, n, direction)
+            origin = self.rays.leaving.off(point.si, direction)
         if self.has_point:
             at_point = point.delta & ~point.infinite
             direction = dr.select(at_point, self._cones.from_point(point.index, u, active), direction)
@@ -305,7 +305,7 @@ class Emission:
         distance2 = dr.squared_norm(delta)
         direction, target = delta * dr.rsqrt(distance2), point.si.p
         if self.has_surface:
-            off = self.rays.leaving.off(point.si.p, point.si.n, -direction)
+            off = self.rays.leaving.off(point.si, -direction)
             target = dr.select(point.delta, target, off)
         if self.has_infinite:
             direction = dr.select(point.infinite, -mi.Vector3f(point.si.n), direction)

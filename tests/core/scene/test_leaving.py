@@ -77,7 +77,8 @@ def test_a_ray_between_two_surfaces_meets_what_is_close_to_either(mi: Any) -> No
         scene, leaving = mi.load_dict({"type": "scene", **walls}), Leaving(10.0)
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.p, si.n = mi.Point3f(0.1, 0.2, 0.0), mi.Normal3f(0, 0, 1)
-        p, n = mi.Point3f(0.3, -0.1, 10.0), mi.Normal3f(0, 0, 1)
-        ray = leaving.to(si, leaving.off(p, n, si.p - p))
+        other = mi.SurfaceInteraction3f(si)
+        other.p = mi.Point3f(0.3, -0.1, 10.0)
+        ray = leaving.to(si, leaving.off(other, si.p - other.p))
         found.append(bool(scene.ray_test(ray)[0]))
     assert found == [False, True, True]
