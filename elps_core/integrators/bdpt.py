@@ -305,8 +305,9 @@ class Bdpt:
         lanes = dr.width(start.pdf)
         ray = self.lights.first_ray(start, stream.next_2d(), mi.Bool(True))
         radiance, cosine = emission.radiance(point, ray.d, mi.Bool(True))
+        delta, infinite, active = point.delta, point.infinite, mi.Bool(True)
         pdf = self.lights.pdf_direction(
-            point.index, start.cell, ray.d, cosine, mi.Bool(True), delta=point.delta, infinite=point.infinite
+            point.index, start.cell, point.si.p, ray.d, cosine, active, delta=delta, infinite=infinite
         )
         pdf_point = dr.select(point.delta, dr.inf, start.pdf)
         return Walk(
@@ -315,7 +316,7 @@ class Bdpt:
             partial=self._full(self.heuristic.start(pdf_point, cosine, pdf, "light", self._fraction), lanes),
             eta=dr.ones(mi.Float, lanes),
             depth=dr.zeros(mi.UInt32, lanes),
-            offset=dr.zeros(mi.Float, lanes),
+            offset=emission.gap(point, active) + dr.zeros(mi.Float, lanes),
             parallel=point.infinite & dr.full(mi.Bool, True, lanes),
             raised=dr.ones(mi.Float, lanes),
             worth=dr.ones(mi.Float, lanes) * (self.worth.gain if self.worth else 1.0),

@@ -96,7 +96,7 @@ class CausticSampler:
             event = self._materials.sample_from_light(si, path.stream.next_1d(), path.stream.next_2d(), active)
             active = active & event.delta
             kept = luminance(mi.UnpolarizedSpectrum(event.weight), path.ray.wavelengths) / white()
-            ray = si.spawn_ray(si.to_world(event.wo))
+            ray = self._lights.emission.rays.leaving.ray(si, si.to_world(event.wo))
             return _Path(ray, path.flux * event.weight, path.met * kept, depth, path.stream, active)
 
         dr.while_loop(
@@ -121,7 +121,8 @@ class CausticSampler:
         cos_cone = dr.select(outside, dr.safe_sqrt(1.0 - dr.square(radius / distance)), -1.0)
         axis = mi.Frame3f(dr.select(distance > 0.0, away / distance, mi.Vector3f(0.0, 0.0, 1.0)))
         direction = axis.to_world(mi.warp.square_to_uniform_cone(u, cos_cone))
-        origin, per_pdf = point.si.spawn_ray(direction).o, dr.two_pi * (1.0 - cos_cone)
+        leaving = self._lights.emission.rays.leaving
+        origin, per_pdf = leaving.off(point.si, direction), dr.two_pi * (1.0 - cos_cone)
         # From infinity the disk across the sphere.
         travels = mi.Vector3f(point.si.n)
         disk = mi.warp.square_to_uniform_disk_concentric(u)

@@ -15,7 +15,6 @@ import mitsuba as mi
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.particles.records import Worth, everywhere
 from elps_core.particles.subpaths import StepStore, Tracked
-from elps_core.paths.connect import SHADOW
 from elps_core.paths.mis import Ratios, Side
 from elps_core.paths.roulette import RouletteRule
 from elps_core.paths.strategies import bdpt as all_strategies
@@ -146,7 +145,10 @@ class PathJoiner:
         # What is emitted stays apart from what is scattered: importons do not ask for the light's colour.
         emission, point = self.lights.emission, start.point
         emitted, cosine = emission.radiance(point, first.ray.d, active)
-        pdf = emission.pdf_direction(point.index, point.delta, cosine, active, infinite=point.infinite)
+        delta, infinite = point.delta, point.infinite
+        pdf = emission.pdf_direction(
+            point.index, point.si.p, first.ray.d, cosine, active, delta=delta, infinite=infinite
+        )
         first.beta = dr.select(first.active, mi.Spectrum(cosine / (start.pdf * pdf)), 0.0)
         light = self._walk(first, s, "light", stores[0], row)
         # The second loop would have the first one's scatters done, and the first walk made again for its end.
@@ -228,7 +230,10 @@ class PathJoiner:
         cos_light = dr.abs(dr.dot(light_si.n, direction))
         at_light = materials.seen_by_light(light_si, light_si.to_local(-direction), cos_light, ready & ~from_lamp)
         lamp, lamp_cosine = emission.radiance(point, -direction, ready & from_lamp)
-        lamp_pdf = emission.pdf_direction(point.index, point.delta, lamp_cosine, from_lamp, infinite=point.infinite)
+        delta, infinite = point.delta, point.infinite
+        lamp_pdf = emission.pdf_direction(
+            point.index, point.si.p, -direction, lamp_cosine, from_lamp, delta=delta, infinite=infinite
+        )
         no_surface = point.delta | point.infinite
         # Importance reaches the back of a lamp, too.
         lamp_side = dr.select(no_surface, 1.0, dr.abs(dr.dot(point.si.n, direction)))
@@ -241,9 +246,10 @@ class PathJoiner:
         eye_passes = ready & (dr.max(to_light) > 0.0)
         light_passes = ready & (dr.max(to_eye) > 0.0) & (~from_lamp | (dr.max(emitted) > 0.0))
         joined = eye_passes | light_passes
-        joined = joined & ~self._blocked(
-            eye_si, light_si, dr.select(from_lamp, target, light_si.p), sample, at_film, joined
-        )
+        end = self._surfaces.leaving.off(light_si, -direction)
+        flags, target = self._surfaces.flags, dr.select(from_lamp, target, end)
+        at_round = dr.select(from_lamp, flags.round(point.si, joined), flags.round(light_si, joined))
+        joined = joined & ~self._blocked(eye_si, light_si, target, at_round, sample, at_film, joined)
         eye_passes, light_passes = joined & eye_passes, joined & light_passes
         inverse = dr.select(joined, dr.rcp(distance2), 0.0)
 
@@ -308,7 +314,10 @@ class PathJoiner:
         radiance = mi.UnpolarizedSpectrum(emission.seen(emitter, si, active))
         pdf_start, index, _ = self.lights.pdf(emitter, si, active)
         cosine = dr.abs(dr.dot(si.to_world(si.wi), si.n))
-        pdf_omega = emission.pdf_direction(index, mi.Bool(False), cosine, active, infinite=~si.is_valid())
+        back = mi.Vector3f(si.to_world(si.wi))
+        pdf_omega = emission.pdf_direction(
+            index, si.p, back, cosine, active, delta=mi.Bool(False), infinite=~si.is_valid()
+        )
         pdf_omega = dr.select(dr.max(radiance) > 0.0, pdf_omega, 0.0)
         fewer = _sum(self.heuristic.others(eye.vertex.partial, pdf_start, pdf_omega, "eye"))
         # Paths of one segment have no other strategy.
@@ -319,18 +328,18 @@ class PathJoiner:
         eye: mi.SurfaceInteraction3f,
         light: mi.SurfaceInteraction3f,
         target: mi.Point3f,
+        at_round: mi.Bool,
         sample: SensorSample,
         at_film: mi.Bool,
         active: mi.Bool,
     ) -> mi.Bool:
         """Whether something stands between the ends. One ray for all strategies."""
-        ray = eye.spawn_ray_to(target)
-        # From the sensor's near clip plane: see Connector.
-        length = sample.distance - sample.near
-        ray.o = dr.select(at_film, light.p + sample.direction * length, ray.o)
-        ray.d = dr.select(at_film, -sample.direction, ray.d)
-        ray.maxt = dr.select(at_film, length * SHADOW, ray.maxt)
-        return self._surfaces.blocked(ray, active)
+        leaving = self._surfaces.leaving
+        start = leaving.off(eye, target - eye.p)
+        # At the film from the surface to the sensor's near clip plane.
+        start = dr.select(at_film, leaving.along(light, sample.direction), start)
+        end = dr.select(at_film, light.p + sample.direction * (sample.distance - sample.near), target)
+        return self._surfaces.blocked(leaving.between(start, end, at_round & ~at_film), active)
 
 
 def _sum(ratios: Ratios) -> mi.Float:

@@ -23,9 +23,6 @@ from elps_core.sampling.lights import NOWHERE, RegionLights
 from elps_core.sampling.start import Start, StartDensity
 from elps_core.scene.sensors import Camera, SensorSample
 
-SHADOW = 1.0 - 1e-4
-"""Share of the segment from the sensor that is tested for shadows: ends short of the surface itself."""
-
 
 class Connector:
     """The ways in which one selection of strategies joins subpaths.
@@ -46,7 +43,7 @@ class Connector:
         region_lights: RegionLights | None = None,
     ) -> None:
         self.scene = scene
-        self.surfaces = Surfaces(scene, lights.emission.flags)
+        self.surfaces = Surfaces(lights.emission.rays, lights.emission.flags)
         self.camera = camera
         self.lights = lights
         self.directions = directions
@@ -106,7 +103,7 @@ class Connector:
         infinite = ~vertex.si.is_valid() if emission.has_environment else mi.Bool(False)
         nowhere = mi.Bool(False)
         pdf_omega = self.lights.pdf_direction(
-            index, cell, -walk.ray.d, cosine, active, delta=nowhere, infinite=infinite
+            index, cell, vertex.si.p, -walk.ray.d, cosine, active, delta=nowhere, infinite=infinite
         )
         # Next event estimation may choose otherwise than light paths start, of which there may be fewer.
         ratio = self.region_lights.ratio(region, cell, active) if self.region_lights else mi.Float(1.0)
@@ -134,15 +131,16 @@ class Connector:
         active = active & self._is_shown(1, vertex.depth + 1)
         wo = vertex.si.to_local(direction)
         active = active & self.surfaces.may_scatter(vertex.si, wo)
-        active = active & ~self.surfaces.shadowed(vertex.si, target, active)
+        active = active & ~self.surfaces.shadowed(vertex.si, target, point.si, active)
         cos_eye = dr.abs(dr.dot(vertex.si.n, direction))
         seen = self.directions.seen(vertex.si, wo, cos_eye, "eye", active)
         pdf_omega = start.pdf * distance2 / cos_light
         light: Ratios = []
         if self.strategies.emission:
             light = self.heuristic.single(dr.select(point.delta, 0.0, seen.pdf), pdf_omega, "light")
+        infinite = point.infinite
         pdf_direction = self.lights.pdf_direction(
-            point.index, start.cell, -direction, cos_light, active, delta=point.delta, infinite=point.infinite
+            point.index, start.cell, point.si.p, -direction, cos_light, active, delta=point.delta, infinite=infinite
         )
         # Were it not for regions and thinning, the density of the light vertex would cancel in the ratio.
         pdf_light = pdf_direction * cos_eye / distance2 * (self._fraction * pdf_start / start.pdf)
@@ -158,7 +156,8 @@ class Connector:
         active = active & (distance2 > 0.0) & self._is_shown(light.depth + 1, eye.depth + 1)
         wo_eye, wo_light = eye.si.to_local(direction), light.si.to_local(-direction)
         active = active & self.surfaces.may_scatter(eye.si, wo_eye) & self.surfaces.may_scatter(light.si, wo_light)
-        active = active & ~self.surfaces.shadowed(eye.si, light.si.p, active)
+        end = self.surfaces.leaving.off(light.si, -direction)
+        active = active & ~self.surfaces.shadowed(eye.si, end, light.si, active)
         cos_eye, cos_light = dr.abs(dr.dot(eye.si.n, direction)), dr.abs(dr.dot(light.si.n, direction))
         at_eye = self.directions.seen(eye.si, wo_eye, cos_eye, "eye", active)
         at_light = self.directions.seen(light.si, wo_light, cos_light, "light", active)
@@ -179,7 +178,8 @@ class Connector:
         wo = vertex.si.to_local(sample.direction)
         active = active & sample.valid & self._is_shown(vertex.depth + 1, 1)
         active = active & self.surfaces.may_scatter(vertex.si, wo)
-        active = active & ~self._hidden(vertex.si.p, sample, active)
+        start = self.surfaces.leaving.along(vertex.si, sample.direction)
+        active = active & ~self.hidden(start, vertex.si.p, sample, active)
         cosine = dr.abs(dr.dot(vertex.si.n, sample.direction))
         seen = self.directions.seen(vertex.si, wo, cosine, "light", active)
         light = self._others(vertex, sample.pdf * cosine / sample.distance2, seen.pdf_rev, "light", False)
@@ -195,7 +195,7 @@ class Connector:
         """t = 0: the ray of a light path meets the aperture; the contribution as in :meth:`connect_sensor`."""
         sample = self.camera.meet(walk.ray, active & (walk.depth > 0))
         active = sample.valid & self._is_shown(walk.depth + 2, 0)
-        active = active & ~self._hidden(walk.ray.o, sample, active)
+        active = active & ~self.hidden(walk.ray.o, walk.ray.o, sample, active)
         partial = self.heuristic.arrive(walk.partial, sample.distance2, sample.cosine)
         pdf = self.camera.pdf_aperture
         end = Vertex(mi.SurfaceInteraction3f(), walk.beta, partial, walk.depth)
@@ -203,14 +203,11 @@ class Connector:
         scale = pdf * sample.pdf / sample.cosine * self._weight(light, [])
         return dr.select(active, walk.beta * scale, 0.0), sample
 
-    def _hidden(self, p: mi.Point3f, sample: SensorSample, active: mi.Bool) -> mi.Bool:
-        """Whether something stands between the sensor and a surface point."""
-        # From the near clip plane, as a primary ray comes: a ray that left the surface would start off it by
-        # Mitsuba's offset, half a millimetre in a room, and meet the edges of cracks that the sensor sees past.
-        length = sample.distance - sample.near
-        ray = mi.Ray3f(p + sample.direction * length, -sample.direction)
-        ray.maxt = length * SHADOW
-        return self.surfaces.blocked(ray, active)
+    def hidden(self, start: mi.Point3f, p: mi.Point3f, sample: SensorSample, active: mi.Bool) -> mi.Bool:
+        """Whether something stands between ``start``, off the surface point ``p``, and the sensor's near clip plane."""
+        # From the surface: where the sensor is far away, a ray from there does not tell what is near the surface.
+        end = p + sample.direction * (sample.distance - sample.near)
+        return self.surfaces.blocked(self.surfaces.leaving.between(start, end), active)
 
     def _others(self, vertex: Vertex, pdf_from_other: mi.Float, pdf_rev: mi.Float, side: Side, nearest: bool) -> Ratios:
         """The ratios of one side: of all strategies there, of the nearest where no other exists, or of none.

@@ -5,21 +5,25 @@ from __future__ import annotations
 import mitsuba as mi
 
 from elps_core.scene.groups import MaterialFlags
+from elps_core.scene.meeting import Meeting
 
 
 class Surfaces:
     """A scene's surfaces. Participating media are left out, as Mitsuba's ``path`` leaves them out."""
 
-    def __init__(self, scene: mi.Scene, flags: MaterialFlags | None = None) -> None:
-        """``flags`` of the scene's materials are found if they are not given."""
-        self.scene = scene
-        self.flags = flags or MaterialFlags(scene)
+    def __init__(self, rays: Meeting, flags: MaterialFlags) -> None:
+        """``rays`` are those of a scene, ``flags`` those of its materials."""
+        self.scene = rays.scene
+        self.leaving = rays.leaving
+        self.flags = flags
         self.bends_frames = self.flags.bends_frames
         """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
 
-    def shadowed(self, si: mi.SurfaceInteraction3f, target: mi.Point3f, active: mi.Bool) -> mi.Bool:
-        """Whether something stands between a surface point and a point on another surface."""
-        return self.blocked(si.spawn_ray_to(target), active)
+    def shadowed(
+        self, si: mi.SurfaceInteraction3f, target: mi.Point3f, on: mi.SurfaceInteraction3f, active: mi.Bool
+    ) -> mi.Bool:
+        """Whether something stands between a surface point and ``target``, off the surface ``on`` or on none."""
+        return self.blocked(self.leaving.to(si, target, self.flags.round(on, active)), active)
 
     def blocked(self, ray: mi.Ray3f, active: mi.Bool) -> mi.Bool:
         """Whether a ray meets something before its end. All shadow rays are traced here."""

@@ -63,7 +63,7 @@ class Walk:
 
 
 def random_walk(
-    rays: mi.Scene | Meeting,
+    rays: Meeting,
     start: Walk,
     visit: Visit[State],
     state: State,
@@ -133,7 +133,7 @@ def random_walk(
             amount = outlook.light * dr.select(active, 1.0 - dr.rcp(survival), 1.0)
             state = pay(state, dr.select(before & paid, amount, 0.0))
         after = Walk(
-            ray=si.spawn_ray(direction),
+            ray=rays.leaving.ray(si, direction),
             beta=beta / survival,
             partial=heuristic.scatter(
                 vertex.partial, cos_out, event.pdf, event.pdf_rev, event.delta, side, vertex.depth == 1

@@ -133,13 +133,14 @@ class StartDensity:
         by_table, direction, u = self._departures.choose(start.cell, u, from_surface)
         ray = self.emission.first_ray(point, u, active)
         ray.d = dr.select(by_table, direction, ray.d)
-        ray.o = dr.select(by_table, point.si.spawn_ray(direction).o, ray.o)
+        ray.o = dr.select(by_table, self.emission.rays.leaving.off(point.si, direction), ray.o)
         return ray
 
     def pdf_direction(
         self,
         index: mi.UInt32,
         cell: mi.UInt32,
+        p: mi.Point3f,
         direction: mi.Vector3f,
         cosine: mi.Float,
         active: mi.Bool,
@@ -147,8 +148,9 @@ class StartDensity:
         delta: mi.Bool,
         infinite: mi.Bool,
     ) -> mi.Float:
-        """Density of :meth:`first_ray` given its point in ``cell``, measure and ``cosine`` as of the emission's own."""
-        pdf = self.emission.pdf_direction(index, delta, cosine, active, infinite=infinite)
+        """Density of :meth:`first_ray` given its point ``p`` in ``cell``; measure, ``cosine``: as of the emission."""
+        emission = self.emission
+        pdf = emission.pdf_direction(index, p, direction, cosine, active, delta=delta, infinite=infinite)
         if self._departures is None:
             return pdf
         return self._departures.mixed(pdf, cell, direction, active & ~(delta | infinite))

@@ -16,7 +16,7 @@ from elps_core.settings import DEPTH_BASELINES, ContextSettings, RenderSettings
 
 SCENE_FORMAT = 1
 """Counts changes of the canonical text."""
-CONTEXT_FORMAT = 17
+CONTEXT_FORMAT = 18
 """Counts changes of a global context's content or file format."""
 RENDER_FORMAT = 18
 """Counts changes of the algorithms that change the image of given settings."""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
+from elps_core.scene.cones import Cones
 from elps_core.scene.emitters import (
     ANALYTIC,
     DIRECTIONAL,
@@ -29,7 +30,8 @@ from elps_core.scene.emitters import (
     describe_emitters,
 )
 from elps_core.scene.environment import Environment
-from elps_core.scene.groups import MaterialFlags, every_shape, numbers
+from elps_core.scene.groups import MaterialFlags, every_shape, local_reach, numbers
+from elps_core.scene.leaving import Leaving
 from elps_core.scene.meeting import Meeting
 from elps_core.scene.meshlight import MeshLights
 from elps_core.scene.radiance import Radiance
@@ -63,7 +65,8 @@ class Emission:
         SceneRejected: no emitter, or one that is not supported.
     """
 
-    def __init__(self, scene: mi.Scene) -> None:
+    def __init__(self, scene: mi.Scene, extent: float = 1.0) -> None:
+        """``extent`` is how large the scene is: see :class:`elps_core.scene.leaving.Leaving`."""
         self._scene = scene  # Pointers to emitters do not keep them alive.
         lights = describe_emitters(scene)
         self.count = len(lights)
@@ -93,18 +96,18 @@ class Emission:
         self._shapes = mi.ShapePtr([light.shape for light in lights])
         self._kind = on_device(mi.UInt32, [light.kind_index for light in lights])
         self._area = on_device(mi.Float, self._areas)
-        self._to_local = on_device(mi.Float, [light.to_local for light in lights])
         self._position = on_device(mi.Float, [light.position for light in lights])
-        self._cutoff = on_device(mi.Float, [light.cos_cutoff for light in lights])
         self._radiance = Radiance(lights)
         self._on_shapes = ShapeLights(lights)
         self.flags = MaterialFlags(scene)
         """Of the materials in the scene, lamps' own included."""
-        self.rays = Meeting(scene, lights, self._on_shapes)
+        self.rays = Meeting(scene, lights, self._on_shapes, Leaving(max(extent, local_reach(scene))))
         """What rays meet in the scene, lamps included."""
         self._meshes = MeshLights(lights) if "mesh" in self.kinds else None
         sphere = scene.bbox().bounding_sphere()
         self._centre, self._radius = mi.Point3f(sphere.center), mi.Float(DISK_MARGIN * sphere.radius)
+        centre, radius = np.array(sphere.center, np.float64).ravel(), DISK_MARGIN * float(sphere.radius)
+        self._cones = Cones(lights, scene, centre, radius)
         dr.make_opaque(self._centre, self._radius)  # Data, not code: scenes share kernels.
         surround = [light for light in lights if light.kind in ENVIRONMENTS]
         self._around = dr.opaque(mi.UInt32, int(ids[lights.index(surround[0])]) if surround else 0)
@@ -218,9 +221,10 @@ class Emission:
             si.wi = dr.select(point.infinite, direction, si.to_local(direction))
             value = self._radiance.seen(point.index, si, active & ~point.delta)
         if self.has_point or self.has_directional:
-            # At unit distance the irradiance of a point light is its intensity.
-            near = mi.Interaction3f(0.0, self.time, point.si.wavelengths, point.si.p + direction)
-            intensity = self._radiance.sent(point.index, near, active & point.delta)
+            # Far enough away for single precision to tell the direction; 1 at infinity, where p is the origin.
+            away = 1.0 + dr.max(dr.abs(point.si.p))
+            near = mi.Interaction3f(0.0, self.time, point.si.wavelengths, point.si.p + direction * away)
+            intensity = self._radiance.sent(point.index, near, away, active & point.delta)
             value = dr.select(point.delta, intensity, value)
         return value & active, cosine
 
@@ -245,31 +249,48 @@ class Emission:
         frame = mi.Frame3f(point.si.n)
         direction, origin = n, point.si.p
         if self.has_surface:
-            direction = frame.to_world(mi.warp.square_to_cosine_hemisphere(u))
-            origin = point.si.spawn_ray(direction).o
+            aimed, towards, left = False, n, u
+            if self._cones.aims:
+                on_surface = active & ~(point.delta | point.infinite)
+                aimed, towards, left = self._cones.aimed(point.index, point.si.p, u, on_surface)
+            direction = frame.to_world(mi.warp.square_to_cosine_hemisphere(left))
+            direction = dr.select(aimed, towards, direction)
+            origin = self.rays.leaving.off(point.si, direction)
         if self.has_point:
-            cutoff = dr.gather(mi.Float, self._cutoff, point.index, active)
-            axis = mi.Frame3f(mi.Normal3f(self._axis(point.index, active)))
             at_point = point.delta & ~point.infinite
-            direction = dr.select(at_point, axis.to_world(mi.warp.square_to_uniform_cone(u, cutoff)), direction)
-            origin = dr.select(at_point, point.si.p, origin)
+            direction = dr.select(at_point, self._cones.from_point(point.index, u, active), direction)
+            start = point.si.p + direction * self.gap(point, active) if self._cones.advances else point.si.p
+            origin = dr.select(at_point, start, origin)
         if self.has_infinite:
             disk = mi.warp.square_to_uniform_disk_concentric(u)
             start = self._centre + (frame.to_world(mi.Vector3f(disk.x, disk.y, 0.0)) - n) * self._radius
             direction, origin = dr.select(point.infinite, n, direction), dr.select(point.infinite, start, origin)
         return mi.Ray3f(origin, direction, self.time, point.si.wavelengths)
 
+    def gap(self, point: LightPoint, active: mi.Bool) -> mi.Float:
+        """Distance from ``point`` to the origin of :meth:`first_ray`, but from infinity."""
+        return self._cones.gap(point.index, active) if self._cones.advances else mi.Float(0.0)
+
     def pdf_direction(
-        self, index: mi.UInt32, delta: mi.Bool, cosine: mi.Float, active: mi.Bool, *, infinite: mi.Bool
+        self,
+        index: mi.UInt32,
+        p: mi.Point3f,
+        direction: mi.Vector3f,
+        cosine: mi.Float,
+        active: mi.Bool,
+        *,
+        delta: mi.Bool,
+        infinite: mi.Bool,
     ) -> mi.Float:
-        """Density of :meth:`first_ray` given its point, ``cosine`` as :meth:`radiance` gives it.
+        """Density of :meth:`first_ray` given its point ``p``, ``cosine`` as :meth:`radiance` gives it.
 
         Solid angle of the direction; at infinity area of the origin on the disk.
         """
         pdf = cosine * dr.inv_pi
+        if self._cones.aims:
+            pdf = self._cones.mixed(pdf, index, p, direction, active)
         if self.has_point:
-            cutoff = dr.gather(mi.Float, self._cutoff, index, active)
-            pdf = dr.select(delta, dr.inv_two_pi * dr.rcp(1.0 - cutoff), pdf)
+            pdf = dr.select(delta, self._cones.pdf_point(index, active), pdf)
         if self.has_infinite:
             pdf = dr.select(infinite, dr.inv_pi * dr.rcp(dr.square(self._radius)), pdf)
         return pdf
@@ -283,6 +304,9 @@ class Emission:
         delta = point.si.p - p
         distance2 = dr.squared_norm(delta)
         direction, target = delta * dr.rsqrt(distance2), point.si.p
+        if self.has_surface:
+            off = self.rays.leaving.off(point.si, -direction)
+            target = dr.select(point.delta, target, off)
         if self.has_infinite:
             direction = dr.select(point.infinite, -mi.Vector3f(point.si.n), direction)
             distance2 = dr.select(point.infinite, 1.0, distance2)
@@ -291,16 +315,11 @@ class Emission:
 
     # -- Tables ----------------------------------------------------------------------------------
 
-    def _axis(self, index: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        # The third row of the world-to-local map is the local z axis, up to scale.
-        row = dr.gather(mi.Vector4f, self._to_local, index * 3 + 2, active)
-        return dr.normalize(mi.Vector3f(row.x, row.y, row.z))
-
     def _measure_power(self) -> NDArray[np.float64]:
         """Average emission over a grid on each emitter, times its area and solid angle; closed forms where they are."""
         known = self._radiance.known
-        # Light of a surface into all directions of a half space, and of a point into all.
-        around = np.where(np.isin(self._kinds, SURFACES), np.pi * self._areas, 4.0 * np.pi)
+        # Light of a surface into all directions of a half space, and of a point into those of its cone.
+        around = np.where(np.isin(self._kinds, SURFACES), np.pi * self._areas, 2.0 * np.pi * self._cones.heights)
         bright = self._radiance.values @ (np.ones(1) if mi.is_monochromatic else luminance_weights())
         power: NDArray[np.float64] = np.where(known, around * bright, 0.0)
         if not known.all():
@@ -324,6 +343,9 @@ class Emission:
         around = self.first_ray(point, mi.Point2f(u.y, u.x), active).d
         direction = dr.select(point.delta | point.infinite, around, direction)
         value, _ = self.radiance(point, direction, active)
-        one = self.pdf_direction(index, point.delta, mi.Float(1.0), active, infinite=point.infinite)
+        delta, infinite = point.delta, point.infinite
+        one = self.pdf_direction(index, point.si.p, direction, mi.Float(1.0), active, delta=delta, infinite=infinite)
+        # Wherever a surface's paths are aimed, it shines into all directions.
+        one = dr.select(delta | infinite, one, dr.inv_pi)
         flux = np.array(luminance(value * weight, wavelengths) / (point.pdf * one), np.float64)
         return np.asarray(np.nan_to_num(flux.reshape(len(emitters), cells).mean(axis=1), nan=0.0, posinf=0.0))

@@ -232,7 +232,10 @@ def _intensities(lights: list[Light]) -> list[float]:
 def _asked_intensities(lights: list[Light]) -> Matrix:
     axes = np.array([light.key[3:6] for light in lights])
     axes[~axes.any(axis=1)] = (0.0, 0.0, 1.0)
-    position = np.array([light.position if light.kind in POINTS else np.zeros(3) for light in lights]) + axes
+    places = np.array([light.position if light.kind in POINTS else np.zeros(3) for light in lights])
+    # Far enough away for single precision to tell the direction.
+    away = 1.0 + np.abs(places).max(axis=1)
+    position = places + away[:, None] * axes
     wavelengths, weight = sample_wavelengths(dr.full(mi.Float, 0.5, len(lights)))
     near = mi.Interaction3f(0.0, 0.0, wavelengths, mi.Point3f(*(on_device(mi.Float, row) for row in position.T)))
 
@@ -240,7 +243,7 @@ def _asked_intensities(lights: list[Light]) -> Matrix:
         return emitter.sample_direction(near, mi.Point2f(0.5))[1]
 
     value = dr.switch(dr.arange(mi.UInt32, len(lights)), [partial(ask, light.emitter) for light in lights], near)
-    return np.broadcast_to(np.array(luminance(value * weight, wavelengths), np.float64), len(lights))
+    return np.asarray(np.array(luminance(value * weight, wavelengths), np.float64) * away**2)
 
 
 class _Parameters(mi.TraversalCallback):

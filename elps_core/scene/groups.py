@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
 
+FLAT = ("Disk", "Rectangle")
+"""Shapes, beside meshes, whose distance from far away is as precise as single precision is."""
+ROUND = 1 << 31
+"""Flag of a surface that is not: none of Mitsuba's own."""
 FRAME_MAPS = ("NormalMap", "BumpMap")
 """Materials that bend the shading frame, as their descriptions name them."""
 
@@ -35,6 +39,24 @@ def every_shape(scene: mi.Scene) -> list[mi.Shape]:
     return list(dict.fromkeys([*shapes, *_parts(scene)]))
 
 
+def local_reach(scene: mi.Scene) -> float:
+    """How far from the origins of their groups instances have their surfaces, in world units; 0 without instances.
+
+    Single precision rounds the coordinates of what they repeat there, before they are put in place.
+    """
+    reach = 0.0
+    for instance in scene.shapes():
+        if instance.class_name() == "Instance":
+            parts = _Parts()
+            instance.traverse(parts)
+            centres = [np.array(part.bbox().center(), np.float64).ravel() for part in parts.shapes]
+            scale = np.linalg.norm(
+                np.array(mi.traverse(instance)["to_world"].matrix, np.float64).reshape(4, 4)[:3, :3], 2
+            )
+            reach = max([reach, *(float(scale * np.linalg.norm(centre)) for centre in centres)])
+    return reach
+
+
 def numbers(shapes: list[mi.Shape]) -> NDArray[np.int64]:
     """By which pointers name shapes in kernels [n], from 1 on; 0 is none."""
     found = np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes)) if shapes else [], np.int64)
@@ -55,6 +77,8 @@ class MaterialFlags:
         carried = [shape.bsdf() for shape in shapes]
         known = {bsdf: int(bsdf.flags()) for bsdf in dict.fromkeys(carried) if bsdf}
         flags[of] = [known.get(bsdf, 0) for bsdf in carried]
+        curved = [not shape.is_mesh() and shape.class_name() not in FLAT for shape in shapes]
+        flags[of] |= np.where(curved, ROUND, 0).astype(np.uint32)
         descriptions = {str(bsdf) for bsdf in known}
         self.bends_frames = any(name in text for text in descriptions for name in FRAME_MAPS)
         """Whether a material bends the shading frame and so needs the surface's derivatives by u and v."""
@@ -67,6 +91,10 @@ class MaterialFlags:
     def smooth(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Bool:
         """Whether the surface scatters into more than single directions."""
         return mi.has_flag(self(si, active), mi.BSDFFlags.Smooth)
+
+    def round(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Bool:
+        """Whether the distance to the surface from far away is imprecise."""
+        return (self(si, active) & ROUND) != 0
 
     def transmits(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Bool:
         """Whether light passes through the surface."""

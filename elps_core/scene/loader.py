@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from elps_core.scene.emission import Emission
+    from elps_core.scene.placement import Placement
 
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
@@ -92,6 +93,10 @@ class LoadedScene:
     """Which camera of the scene file was chosen."""
     surroundings: str
     """Digest of the scene without its cameras."""
+    extent: float = 1.0
+    """How large it is as it is rendered: see :mod:`elps_core.scene.placement`."""
+    scale: float = 1.0
+    """How much larger it is rendered than it is: what lengths in images are to be divided by."""
 
     @cached_property
     def emission(self) -> Emission:
@@ -102,7 +107,7 @@ class LoadedScene:
         """
         from elps_core.scene.emission import Emission  # Needs a variant to be set
 
-        return Emission(self.scene)
+        return Emission(self.scene, self.extent)
 
 
 def load_scene(
@@ -146,13 +151,16 @@ def load_scene(
             files = Files(xml.parent, root, local=True)
         canonical = canonicalize(xml, files, sensor=sensor, size=size, defines=defines)
         films.check(canonical.root, variant)
-        scene, triangles = _instantiate(mi_, canonical, variant)
+        made = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
-        summary = _summarize(scene, canonical, triangles).model_copy(update={"ignored": ignored})
+        summary = _summarize(made, canonical).model_copy(update={"ignored": ignored})
+    scene, extent, scale = made.scene, made.placement.placed_size, made.placement.scale
     chosen = scene.sensors()[sensor]
     shown_size = summary.sensors[sensor]
     film = (shown_size.width, shown_size.height)
-    return LoadedScene(scene, chosen, canonical.digest, summary, variant, film, sensor, canonical.surroundings)
+    return LoadedScene(
+        scene, chosen, canonical.digest, summary, variant, film, sensor, canonical.surroundings, extent, scale
+    )
 
 
 def canonicalize(
@@ -289,9 +297,18 @@ def _resize(sensor: Node, objects: list[Node], size: tuple[int, int]) -> None:
     sensor.children = [child for child in sensor.children if id(child) not in replaced] + [film]
 
 
-def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> tuple[mi.Scene, int]:
-    """The scene, and the triangles of all its meshes."""
-    from elps_core.scene import merging  # here: it needs the variant that is set by now
+@dataclass(frozen=True)
+class _Made:
+    """A scene that Mitsuba has made, and where it stands."""
+
+    scene: mi.Scene
+    triangles: int
+    placement: Placement
+    warnings: tuple[str, ...]
+
+
+def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
+    from elps_core.scene import merging, placement, placing  # here: they need the variant that is set by now
 
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
@@ -304,21 +321,40 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> tuple[mi.
     # Mitsuba's warnings name files of the host.
     mi_.set_log_level(mi_.LogLevel.Error)
     try:
-        state = mi_.parser.parse_string(config, canonical.text)
-        _check_again(state, canonical)
-        mi_.parser.transform_all(config, state)
-        names = merging.candidates(state)
+        state = _parse(mi_, config, canonical)
+        measuring = placing.rough(state)
+        if measuring.moves:
+            placing.place(state, measuring)
+        names, maps = merging.candidates(state), placing.file_maps(state)
         parts = merging.make_parts(config, state)
         triangles = measure.triangles(merging.shapes_of(parts))
+        placed = placement.measured(merging.shapes_of(parts), measuring)
+        coarse = placement.coarse_meshes(parts, maps)
+        if not placed.puts_as(measuring):
+            del parts
+            state = _parse(mi_, config, canonical)
+            placed = placing.place(state, placed)
+            names = merging.candidates(state)
+            parts = merging.make_parts(config, state)
+            placing.place_made(merging.shapes_of(parts), placed)
         parts = merging.merge(parts, names)
         scene = merging.make_scene(parts)
+        placement.approach(scene)
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
         if isinstance(error, MemoryError) or "bad_alloc" in str(error):
             raise SceneRejected(_TOO_LARGE) from None
         raise SceneRejected(_explain(str(error), canonical)) from None
     finally:
         mi_.set_log_level(level)
-    return scene, triangles
+    return _Made(scene, triangles, placed, (*coarse, *placement.remote(scene, placed)))
+
+
+def _parse(mi_: Any, config: Any, canonical: CanonicalScene) -> Any:
+    """The scene as Mitsuba reads it, its references resolved and nothing made."""
+    state = mi_.parser.parse_string(config, canonical.text)
+    _check_again(state, canonical)
+    mi_.parser.transform_all(config, state)
+    return state
 
 
 def _leave_only_mitsuba(mi_: Any) -> None:
@@ -363,15 +399,15 @@ def _explain(raw: str, canonical: CanonicalScene) -> str:
     return f"{node}: Mitsuba cannot make this object: check its parameters"
 
 
-def _summarize(scene: mi.Scene, canonical: CanonicalScene, triangles: int) -> SceneSummary:
-    measure.check_bounds(scene)
+def _summarize(made: _Made, canonical: CanonicalScene) -> SceneSummary:
+    measure.check_bounds(made.scene)
     objects = canonical.root.objects()
-    made = scene.sensors()  # in the order of the file
-    if len(made) != len(canonical.sensors):
+    cameras = made.scene.sensors()  # in the order of the file
+    if len(cameras) != len(canonical.sensors):
         raise SceneRejected("the scene has a <sensor> in a strange place: put each directly inside <scene>")
     sensors: list[SensorSummary] = []
     asked: list[str] = []
-    for node, sensor in zip(canonical.sensors, made, strict=True):
+    for node, sensor in zip(canonical.sensors, cameras, strict=True):
         width, height = measure.check_sensor(sensor, str(node))
         film = rules.film_of(node, objects)
         asked += films.warnings(film)
@@ -382,8 +418,13 @@ def _summarize(scene: mi.Scene, canonical: CanonicalScene, triangles: int) -> Sc
         emitters=tuple(EmitterSummary(type=kind, count=count) for kind, count in sorted(counts.items())),
         bsdfs=tuple(sorted(_materials(objects))),
         shapes=sum(node.tag == "shape" for node in objects),
-        triangles=triangles,
-        warnings=(*canonical.warnings, *_warnings({node.tag for node in objects}), *dict.fromkeys(asked)),
+        triangles=made.triangles,
+        warnings=(
+            *canonical.warnings,
+            *_warnings({node.tag for node in objects}),
+            *dict.fromkeys(asked),
+            *made.warnings,
+        ),
         defaults=canonical.defaults,
         parameters=dict(canonical.parameters),
     )

@@ -16,14 +16,19 @@ import numpy as np
 
 from elps_core.arrays import on_device
 from elps_core.scene.emitters import ANALYTIC, MANY, Light
+from elps_core.scene.leaving import Leaving
 from elps_core.scene.shapelight import Met, ShapeLights
 
 
 class Meeting:
     """Intersections of rays with one scene, given as ``mi.Scene.ray_intersect`` gives them."""
 
-    def __init__(self, scene: mi.Scene, lights: list[Light], on_shapes: ShapeLights) -> None:
+    def __init__(
+        self, scene: mi.Scene, lights: list[Light], on_shapes: ShapeLights, leaving: Leaving | None = None
+    ) -> None:
+        """``leaving`` is how rays leave the scene's surfaces; if not given, as of one of size 1."""
         self.scene = scene
+        self.leaving = leaving or Leaving()
         self._on_shapes = on_shapes
         lamps = [k for k, light in enumerate(lights) if light.kind in ANALYTIC]
         self.by_tables = len(lights) > MANY and bool(lamps)

@@ -56,9 +56,9 @@ class Radiance:
             value = dr.select(self._shining.of(index, active), asked, value) if self._known_shine else asked
         return value
 
-    def sent(self, index: mi.UInt32, near: mi.Interaction3f, active: mi.Bool) -> mi.Spectrum:
-        """Intensity of an emitter without extent towards ``near``, at unit distance from it; irradiance of one at
-        infinity."""
+    def sent(self, index: mi.UInt32, near: mi.Interaction3f, away: mi.Float, active: mi.Bool) -> mi.Spectrum:
+        """Intensity of an emitter without extent towards ``near``, at the distance ``away`` from it; irradiance of one
+        at infinity, where ``away`` is to be 1."""
         value = dr.zeros(mi.Spectrum)
         if self._known_send:
             value = self._constant(index, active)
@@ -67,7 +67,7 @@ class Radiance:
             def ask(emitter: Any, near: mi.Interaction3f, active: mi.Bool) -> mi.Spectrum:
                 return emitter.sample_direction(near, mi.Point2f(0.5), active)[1]
 
-            asked = self._sending(ask, index, near, active)
+            asked = self._sending(ask, index, near, active) * dr.square(away)
             value = dr.select(self._sending.of(index, active), asked, value) if self._known_send else asked
         return value
 

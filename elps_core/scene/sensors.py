@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from elps_core.errors import SceneRejected
 
@@ -74,7 +75,12 @@ class Camera:
         # The film's image: its corner and edges, at unit distance or on the near plane of parallel rays.
         points = [mi.Vector3f(ray.o) if self.parallel else ray.d / dr.dot(ray.d, self.axis) for ray in corners]
         self._corner, self._across, self._down = points[0], points[1] - points[0], points[2] - points[0]
-        self._inv_area = mi.Float(1.0 / float(dr.norm(dr.cross(self._across, self._down))[0]))
+        area = float(dr.norm(dr.cross(self._across, self._down))[0])
+        if not self.parallel:
+            # From the angle: through a long lens the corners' directions are all but one in single precision.
+            side = 2.0 * np.tan(np.radians(float(np.ravel(params["x_fov"])[0])) / 2.0) / int(film.size().x)
+            area = float(side**2) * int(self.size.x) * int(self.size.y)
+        self._inv_area = mi.Float(1.0 / area)
         # Data, not code: else the first pass and the second one are different kernels.
         plane = (self._corner, self._across, self._down, self._inv_area)
         dr.make_opaque(self.axis, self._to_local, *plane, self._radius, self.near_clip, self._far_clip)

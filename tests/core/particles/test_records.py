@@ -108,7 +108,7 @@ def test_any_walk_can_leave_records(mi: Any) -> None:
     stream = Stream.of(lanes, 1)
     start = bdpt.eye_start(bdpt.primary(stream.next_2d() * mi.Point2f(bdpt.camera.size), stream), stream)
     random_walk(
-        scene, start, visit, dr.zeros(mi.Bool, lanes), side="eye", max_depth=depth, roulette=bdpt.roulette,
+        emission.rays, start, visit, dr.zeros(mi.Bool, lanes), side="eye", max_depth=depth, roulette=bdpt.roulette,
         heuristic=bdpt.heuristic, directions=bdpt.directions, label="test",
     )  # fmt: skip
     dr.eval(buffer.state)

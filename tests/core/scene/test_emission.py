@@ -278,7 +278,10 @@ def irradiances(mi: Any, scene: Any, emission: Any) -> dict[str, tuple[float, fl
 
     ray = emission.first_ray(point, stream.next_2d(), active)
     value, cosine = emission.radiance(point, ray.d, active)
-    pdf = start.pdf * emission.pdf_direction(point.index, point.delta, cosine, active, infinite=point.infinite)
+    delta, infinite = point.delta, point.infinite
+    pdf = start.pdf * emission.pdf_direction(
+        point.index, point.si.p, ray.d, cosine, active, delta=delta, infinite=infinite
+    )
     si = scene.ray_intersect(ray)
     receiver = mi.ShapePtr([s for s in scene.shapes() if not s.is_emitter()])
     landed = si.is_valid() & (si.shape == dr.gather(mi.ShapePtr, receiver, 0)) & (ray.d.z < 0.0) & (pdf > 0.0)
