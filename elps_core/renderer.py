@@ -147,7 +147,7 @@ class Renderer:
         divisor = np.array(by, np.float32).reshape(canvas.shape)
         filtered = None if rest is None else np.array(rest, np.float32).reshape(canvas.shape)
         pixels = np.asarray(sums / np.maximum(divisor, np.finfo(np.float32).tiny)[..., None], np.float32)
+        alpha = pixels[..., canvas.channels] if canvas.has_alpha else None
         if self.settings.integrator == "mi_depth":  # Distances are those of the file
             pixels = pixels / np.float32(self.scene.scale)
-        alpha = pixels[..., canvas.channels] if canvas.has_alpha else None
         return np.ascontiguousarray(pixels[..., : canvas.channels]), divisor, filtered, alpha

@@ -74,8 +74,8 @@ def _facts(summary: SceneSummary) -> Iterator[tuple[str, str]]:
     yield "emitters", ", ".join(f"{each.count} {each.type}" for each in summary.emitters) or "none"
     yield "materials", ", ".join(summary.bsdfs) or "none"
     yield "shapes", f"{summary.shapes} with {summary.triangles} triangles"
-    for name, value in summary.parameters.items():
-        yield "parameter", f"{name} = {value}"
+    for parameter in summary.parameters:
+        yield "parameter", f"{parameter.name} = {parameter.value}"
     given, usual = summary.defaults.settings(), RenderSettings()
     if summary.defaults.integrator:
         yield (
@@ -83,8 +83,8 @@ def _facts(summary: SceneSummary) -> Iterator[tuple[str, str]]:
             f"{summary.defaults.integrator}: advice only, the job's own renders ('auto' if none is named)",
         )
     for name in ("max_depth", "rr_depth"):
-        value = given.get(name)
-        yield name, f"{value}, as the file says" if value else f"{getattr(usual, name)}, because the file says none"
+        said = given.get(name)
+        yield name, f"{said}, as the file says" if said else f"{getattr(usual, name)}, because the file says none"
     if given.get("hide_emitters"):
         yield "emitters", "hidden from the camera, as the file says"
     if summary.defaults.samples:

@@ -104,7 +104,8 @@ def _of_point(light: Light, centre: Matrix, radius: float) -> tuple[float, float
         around = _height(float(np.linalg.norm(away)), radius)
         if around < height:
             axis, height = away / np.linalg.norm(away), around
-    return (*map(float, axis), float(height))
+    x, y, z = map(float, axis)
+    return x, y, z, float(height)
 
 
 def _gap(light: Light, centre: Matrix, radius: float) -> float:

@@ -41,7 +41,7 @@ class Files:
         Raises:
             SceneRejected: the folder lies outside.
         """
-        folder = self._found(name, f"{label}: the folder '{shown(name)}'")
+        folder = self._found(name, f"{label}: the folder '{shown(name)}'", [self.home])
         if folder is None or not folder.is_dir():
             self.warnings.append(f"{label}: there is no folder '{shown(name)}': it is not searched")
         else:
@@ -58,7 +58,7 @@ class Files:
             SceneRejected: it is not there, or lies outside.
         """
         label = f"{label}: the file '{shown(name)}'"
-        found = self._found(name, label)
+        found = self._found(name, label, self._folders)
         if found is None:
             where = "there" if self._local else "in the bundle"
             raise SceneRejected(f"{label} is not {where}")
@@ -68,13 +68,13 @@ class Files:
         """A file's name relative to the scene file, for messages."""
         return shown(Path(os.path.relpath(path, self.home)).as_posix())
 
-    def _found(self, name: str, label: str) -> Path | None:
+    def _found(self, name: str, label: str, folders: list[Path]) -> Path | None:
         plain = name.replace("\\", "/")
         if not name or not is_plain(name) or "$" in name:
             raise SceneRejected(f"{label} has a name that is not allowed: use plain relative names")
         if plain.startswith(("/", "~")) or _DRIVE.match(plain):
             raise self._outside(label)
-        places = [place for folder in self._folders if (place := self._inside(folder / plain)) is not None]
+        places = [place for folder in folders if (place := self._inside(folder / plain)) is not None]
         # Said before anything is looked up: an answer must not tell which files the host has.
         if not places:
             raise self._outside(label)

@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 import OpenImageIO
 
-from elps_core.scene import meshes
+from elps_core.scene import meshes, objfile, plyfile
 from elps_core.scene.meshes import BadFileError, file_size
 
 MAX_IMAGE_SIDE = 16384
@@ -52,6 +52,17 @@ def check(kind: str, file: BinaryIO, path: str) -> int:
         BadFileError: the header is damaged, declares more than the file holds, or more than is allowed.
     """
     return _CHECKS[kind](file, path)
+
+
+def mended(kind: str, file: BinaryIO) -> tuple[bytes, list[str]] | None:
+    """A file that Mitsuba would refuse or misread, as it reads it right, and what was done; None for all others.
+
+    Raises:
+        BadFileError: it is damaged.
+    """
+    file.seek(0)
+    mend = _MENDS.get(kind)
+    return mend(file) if mend else None
 
 
 def _text(file: BinaryIO, _: str) -> int:
@@ -117,8 +128,12 @@ def _image(file: BinaryIO, path: str) -> int:
 _CHECKS: dict[str, Callable[[BinaryIO, str], int]] = {
     "text": _text,
     "obj": _obj,
-    "ply": meshes.ply,
+    "ply": plyfile.memory,
     "serialized": meshes.serialized,
     "volume": _volume,
     "image": _image,
+}
+_MENDS: dict[str, Callable[[BinaryIO], tuple[bytes, list[str]] | None]] = {
+    "obj": objfile.mended,
+    "ply": plyfile.mended,
 }

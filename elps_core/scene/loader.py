@@ -7,7 +7,6 @@ knows Mitsuba's own folder and no other.
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections import Counter
 from collections.abc import Mapping
@@ -16,16 +15,17 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from elps_core import device
 from elps_core.errors import SceneRejected
 from elps_core.scene import advice, films, headers, markup, measure, meshes, plugins, reading, rules
 from elps_core.scene.bundle import is_archive, open_regular, root_xml, unpack
 from elps_core.scene.digest import file_hash, scene_digest, surroundings_digest
+from elps_core.scene.explain import explain
 from elps_core.scene.files import Files
 from elps_core.scene.markup import Node
-from elps_core.scene.summary import EmitterSummary, FileDefaults, SceneSummary, SensorSummary
+from elps_core.scene.summary import EmitterSummary, FileDefaults, Parameter, SceneSummary, SensorSummary
 from elps_core.scene.text import shown
 
 if TYPE_CHECKING:
@@ -48,7 +48,6 @@ _MEDIUM = (
 _NO_SURFACE = ("instance", "shapegroup")
 """Shapes whose surfaces are those of others."""
 _TOO_LARGE = "the scene needs more memory than there is: make its meshes and images smaller"
-_LOCATION = re.compile(r"\(line (\d{1,9}), col \d+\)")
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,8 @@ def load_scene(
         else:
             xml = source
             files = Files(xml.parent, root, local=True)
-        canonical = canonicalize(xml, files, sensor=sensor, size=size, defines=defines)
+        scratch = Path(until_loaded.enter_context(tempfile.TemporaryDirectory(prefix="elps-scene-")))
+        canonical = canonicalize(xml, files, scratch, sensor=sensor, size=size, defines=defines)
         films.check(canonical.root, variant)
         made = _instantiate(mi_, canonical, variant)
         # Numbers are checked while the files exist: Mitsuba may evaluate some of them only now.
@@ -166,6 +166,7 @@ def load_scene(
 def canonicalize(
     xml: Path,
     files: Files | None = None,
+    scratch: Path | None = None,
     *,
     sensor: int = 0,
     size: tuple[int, int] | None = None,
@@ -176,6 +177,7 @@ def canonicalize(
     Args:
         xml: the scene file.
         files: the files that it may name; absent: those of its folder.
+        scratch: a folder for files that have to be written anew; absent: they are gone at once.
         sensor: the camera whose film ``size`` applies to.
         size: (width, height) in pixels.
         defines: as in :func:`load_scene`.
@@ -193,20 +195,20 @@ def canonicalize(
     defaults, warnings = advice.take(integrators, [node for node in objects if node.tag == "sampler"])
     absolute: dict[int, str] = {}
     hashed: dict[int, str] = {}
-    checked: dict[tuple[str, str], tuple[int, str]] = {}
+    checked: dict[tuple[str, str], _File] = {}
     memory = 0
     for owner in objects:
         for node, kind in file_names(owner):
             path = files.find(node.attributes.get("filename") or node.attributes.get("value", ""), str(owner))
             if (kind, str(path)) not in checked:
-                checked[kind, str(path)] = _check_file(kind, path, owner, files)
-            needed, content = checked[kind, str(path)]
-            memory += needed
+                checked[kind, str(path)] = _check_file(kind, path, owner, files, scratch)
+            file = checked[kind, str(path)]
+            memory += file.memory
             if memory > MAX_SCENE_BYTES:
                 raise SceneRejected(f"{owner}: with this file the scene needs more than {MAX_SCENE_BYTES >> 30} GiB")
             # A dollar sign in the path of the bundle is no parameter.
-            absolute[id(node)] = str(path).replace("$", "\\$")
-            hashed[id(node)] = f"sha256:{content}{path.suffix.lower()}"
+            absolute[id(node)] = str(file.path).replace("$", "\\$")
+            hashed[id(node)] = f"sha256:{file.content}{path.suffix.lower()}"
     digest = scene_digest(markup.write(scene, hashed)[0])
     surroundings = surroundings_digest(markup.write(_without_sensors(scene), hashed)[0])
     sensors = _sensors(objects)
@@ -223,7 +225,7 @@ def canonicalize(
         surroundings,
         scene,
         tuple(sensors),
-        frozenset(path for _, path in checked),
+        frozenset(str(file.path) for file in checked.values()),
         document.parameters,
         defaults,
         tuple(integrators),
@@ -253,15 +255,35 @@ def file_names(owner: Node) -> list[tuple[Node, str]]:
     return found
 
 
-def _check_file(kind: str, path: Path, owner: Node, files: Files) -> tuple[int, str]:
-    """Memory that the file takes in bytes, and its content's hash."""
-    with open_regular(path) as file:
+class _File(NamedTuple):
+    """A file that passed its check."""
+
+    memory: int
+    """Bytes that it takes at most."""
+    content: str
+    """Hash of the user's file."""
+    path: Path
+    """What Mitsuba is given: the file itself, or one that it reads right."""
+
+
+def _check_file(kind: str, path: Path, owner: Node, files: Files, scratch: Path | None) -> _File:
+    """Check a file; where Mitsuba would refuse or misread it, write it anew into ``scratch``."""
+    with open_regular(path) as file, ExitStack() as until_checked:
+        content = file_hash(file)
+        given, opened = path, file
         try:
-            needed = headers.check(kind, file, str(path))
+            mended = headers.mended(kind, file)
+            if mended is not None:
+                data, told = mended
+                folder = scratch or Path(until_checked.enter_context(tempfile.TemporaryDirectory()))
+                given = folder / f"{content}{path.suffix.lower()}"
+                given.write_bytes(data)
+                opened = until_checked.enter_context(given.open("rb"))
+                files.warnings += [f"{owner}: '{files.name_of(path)}' {what}" for what in told]
+            opened.seek(0)
+            return _File(headers.check(kind, opened, str(given)), content, given)
         except meshes.BadFileError as error:
             raise SceneRejected(f"{owner}: '{files.name_of(path)}' {error}") from None
-        file.seek(0)
-        return needed, file_hash(file)
 
 
 def _sensors(objects: list[Node]) -> list[Node]:
@@ -343,7 +365,7 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
         if isinstance(error, MemoryError) or "bad_alloc" in str(error):
             raise SceneRejected(_TOO_LARGE) from None
-        raise SceneRejected(_explain(str(error), canonical)) from None
+        raise SceneRejected(explain(str(error), canonical.nodes)) from None
     finally:
         mi_.set_log_level(level)
     return _Made(scene, triangles, placed, (*coarse, *placement.remote(scene, placed)))
@@ -379,26 +401,6 @@ def _check_again(state: Any, canonical: CanonicalScene) -> None:
             raise SceneRejected("the scene names a file that is not in the bundle")
 
 
-def _explain(raw: str, canonical: CanonicalScene) -> str:
-    """One line about an error of Mitsuba's, whose own text may quote files and host paths.
-
-    Of that text only the place is taken, and names that the element itself has.
-    """
-    found = _LOCATION.search(raw)
-    line = int(found[1]) if found else 0
-    if not 1 <= line <= len(canonical.nodes):
-        return "Mitsuba cannot make this scene: check it with Mitsuba's own viewer"
-    node = canonical.nodes[line - 1]
-    for child in (node, *node.children):
-        if child.attributes.get("name") == "filename" or "filename" in child.attributes:
-            name = child.attributes.get("filename") or child.attributes.get("value", "")
-            return f"{node}: Mitsuba cannot read the file '{shown(name)}': it is damaged, cut off or of another kind"
-    unknown = [shown(c.attributes["name"]) for c in node.children if f'"{c.attributes.get("name")}"' in raw]
-    if unknown:
-        return f"{node}: Mitsuba does not take its parameter '{unknown[0]}' or its value"
-    return f"{node}: Mitsuba cannot make this object: check its parameters"
-
-
 def _summarize(made: _Made, canonical: CanonicalScene) -> SceneSummary:
     measure.check_bounds(made.scene)
     objects = canonical.root.objects()
@@ -426,7 +428,7 @@ def _summarize(made: _Made, canonical: CanonicalScene) -> SceneSummary:
             *made.warnings,
         ),
         defaults=canonical.defaults,
-        parameters=dict(canonical.parameters),
+        parameters=tuple(Parameter(name=name, value=value) for name, value in canonical.parameters.items()),
     )
 
 

@@ -1,4 +1,4 @@
-"""Check PLY and serialized meshes before Mitsuba reads them: sizes, indices, finite vertices.
+"""Check serialized meshes before Mitsuba reads them: sizes, indices, finite vertices.
 
 Mitsuba does not compare the indices of a face with the number of vertices, and reads whatever lies
 in memory there. Imports no Mitsuba.
@@ -7,10 +7,8 @@ in memory there. Imports no Mitsuba.
 from __future__ import annotations
 
 import os
-import re
 import struct
 import zlib
-from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -27,12 +25,12 @@ DEFLATE_BEST_RATIO = 1032
 MAX_PARTS = 4096
 """Meshes in one serialized file."""
 
-_BYTES_PER_VERTEX = 32
+BYTES_PER_VERTEX = 32
 """Position, normal, texture coordinates in single precision."""
 _COUNT_DIGITS = 18
 """Longest count that is converted; Python refuses to convert thousands of digits."""
 
-_PLY_TYPES = {
+PLY_TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
     **dict.fromkeys(("short", "int16"), "i2"),
@@ -43,7 +41,6 @@ _PLY_TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
-_PLY_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 class BadFileError(Exception):
@@ -55,96 +52,17 @@ def file_size(file: BinaryIO) -> int:
     return os.fstat(file.fileno()).st_size
 
 
-@dataclass
-class _Element:
-    """One element of a PLY file; a list is three indices after their count, the only kind that Mitsuba reads."""
+def check_columns(names: list[str], columns: list[NDArray[Any]], vertices: int) -> None:
+    """Refuse indices that name no vertex, and positions that are not finite.
 
-    name: str
-    count: int
-    fields: list[tuple[str, str]] = field(default_factory=list)
-    """(name, numpy type); a list's fields are called ``count`` and ``index``."""
-
-
-def ply(file: BinaryIO, _: str = "") -> int:
-    """Check a PLY file; see :func:`elps_core.scene.headers.check`."""
-    size = file_size(file)
-    elements, header_bytes, order = _ply_header(file)
-    file.seek(header_bytes)
-    values = _ply_text(file, size) if order == "" else None
-    vertices = next((element.count for element in elements if element.name == "vertex"), 0)
-    memory = taken = 0
-    for element in elements:
-        if element.count > MAX_COUNT:
-            raise BadFileError("declares more vertices or faces than are allowed")
-        width = len(element.fields)
-        if values is None:
-            kind = np.dtype([(f"{name}{i}", order + code) for i, (name, code) in enumerate(element.fields)])
-            taken += element.count * kind.itemsize
-            enough = header_bytes + taken <= size
-        else:
-            taken += element.count * width
-            enough = taken <= values.size
-        if not enough:
-            raise BadFileError("declares more vertices or faces than it holds: it is cut off or damaged")
-        if values is None:
-            rows: NDArray[Any] = np.fromfile(file, kind, element.count)
-            columns = [rows[name] for name in kind.names or ()]
-        else:
-            columns = list(values[taken - element.count * width : taken].reshape(-1, max(width, 1)).T)
-        _check_columns([name for name, _ in element.fields], columns, vertices)
-        memory += element.count * (_BYTES_PER_VERTEX + 8 * width)
-    return memory
-
-
-def _check_columns(names: list[str], columns: list[NDArray[Any]], vertices: int) -> None:
+    Raises:
+        BadFileError: so it is.
+    """
     for name, column in zip(names, columns, strict=False):
-        if name == "count" and (column != 3).any():
-            raise BadFileError("has faces that are not triangles: triangulate it")
         if name == "index" and not ((column >= 0) & (column < vertices)).all():
             raise BadFileError("has faces that name vertices it does not have")
         if name in ("x", "y", "z") and not np.isfinite(column).all():
             raise BadFileError("has vertices that are not finite numbers")
-
-
-def _ply_text(file: BinaryIO, size: int) -> NDArray[np.float64]:
-    if size > MAX_TEXT_BYTES:
-        raise BadFileError("is a very large PLY file in text: save it as binary")
-    try:
-        return np.array(file.read().split(), dtype=np.float64)
-    except ValueError:
-        raise BadFileError("has something that is not a number where numbers are due") from None
-
-
-def _ply_header(file: BinaryIO) -> tuple[list[_Element], int, str]:
-    """The elements, the header's length in bytes, and the byte order: empty where the rest is text."""
-    head = file.read(MAX_HEADER_BYTES)
-    end = re.search(rb"\nend_header[ \t]*\r?\n", head)
-    if not head.startswith(b"ply") or end is None:
-        raise BadFileError("is not a PLY file, or its header does not end")
-    elements: list[_Element] = []
-    order: str | None = None
-    for line in head[: end.start()].decode("latin-1").splitlines():
-        match line.split():
-            case ["format", name, "1.0"] if name in _PLY_ORDER and order is None:
-                order = _PLY_ORDER[name]
-            case ["element", name, count] if count.isascii() and count.isdigit():
-                if name not in ("vertex", "face") and count.strip("0"):
-                    raise BadFileError("has PLY elements other than vertices and faces: export it without them")
-                if any(element.name == name for element in elements):
-                    raise BadFileError("has a PLY header that declares an element twice")
-                elements.append(_Element(name, int(count[:_COUNT_DIGITS])))
-            case ["property", "list", counter, index, _] if elements and {counter, index} <= _PLY_TYPES.keys():
-                fields = [("count", _PLY_TYPES[counter]), *[("index", _PLY_TYPES[index])] * 3]
-                elements[-1].fields += fields
-            case ["property", kind, name] if elements and kind in _PLY_TYPES and name not in ("count", "index"):
-                elements[-1].fields.append((name, _PLY_TYPES[kind]))
-            case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
-                pass
-            case _:
-                raise BadFileError("has a PLY header with a line that is not supported")
-    if order is None or not any(element.name == "vertex" for element in elements):
-        raise BadFileError("has a PLY header without format or vertices")
-    return elements, end.end(), order
 
 
 def serialized(file: BinaryIO, _: str = "") -> int:
@@ -200,5 +118,5 @@ def _serialized_mesh(file: BinaryIO, begin: int, end: int, has_name: bool) -> in
     positions = np.frombuffer(head, kind, int(vertices) * 3, at + 16)
     indices = np.frombuffer(head, "<u4", int(faces) * 3, at + 16 + vertex_bytes)
     names = ["x", "index"]
-    _check_columns(names, [positions, indices], int(vertices))
-    return needed + int(vertices) * _BYTES_PER_VERTEX
+    check_columns(names, [positions, indices], int(vertices))
+    return needed + int(vertices) * BYTES_PER_VERTEX

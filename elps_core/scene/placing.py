@@ -38,10 +38,13 @@ _CURVES = frozenset({"BSplineCurve", "LinearCurve"})
 def rough(state: Any) -> Placement:
     """A placement that shapes can be measured in, from what a parsed scene says of them but not their files."""
     props = [state.nodes[number].props for number in _standing(state)]
-    maps = [_pulled(each)[0] for each in props]
+    try:
+        maps = [_pulled(each)[0] for each in props]
+        radii = [float(each.get("radius", 1.0)) for each in props]
+    except (TypeError, ValueError, RuntimeError):  # a parameter of another kind: Mitsuba refuses it, and says where
+        return UNMOVED
     if not maps:
         return UNMOVED
-    radii = [float(each.get("radius", 1.0)) for each in props]
     sizes = [np.linalg.norm(each[:3, :3]) * radius for each, radius in zip(maps, radii, strict=True)]
     size = middle_of(np.array(sizes))
     centre = np.array([middle_of(axis) for axis in np.array([each[:3, 3] for each in maps]).T])

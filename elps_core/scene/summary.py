@@ -60,6 +60,13 @@ class FileDefaults(_Model):
         return self.model_dump(exclude={"integrator", "samples"}, exclude_none=True)
 
 
+class Parameter(_Model):
+    """A parameter of a scene, and the value that holds."""
+
+    name: str
+    value: str
+
+
 class SceneSummary(_Model):
     """Counts and classes of a scene that was loaded."""
 
@@ -73,7 +80,7 @@ class SceneSummary(_Model):
     triangles: int
     warnings: tuple[str, ...] = ()
     defaults: FileDefaults = FileDefaults()
-    parameters: dict[str, str] = {}
-    """Those that can be set (``-D``), with the values that hold."""
+    parameters: tuple[Parameter, ...] = ()
+    """Those that can be set (``-D``)."""
     ignored: tuple[str, ...] = ()
     """Files of the bundle that no scene has a use for; they were left out."""

@@ -208,7 +208,7 @@ def test_what_the_job_leaves_open_the_scene_file_says(client: httpx.Client) -> N
     sampler = '<sampler type="independent"><integer name="sample_count" value="24"/></sampler>'
     xml = with_shape(said).replace('<sampler type="independent"/>', sampler)
     record = client.post("/v1/scenes", content=xml, headers={"Content-Type": "application/xml"}).json()
-    assert record["summary"]["parameters"] == {"k": "5", "r": "0.5"}
+    assert record["summary"]["parameters"] == [{"name": "k", "value": "5"}, {"name": "r", "value": "0.5"}]
     body = {"scene": record["digest"], "settings": SETTINGS}
 
     def posted(**more: Any) -> httpx.Response:

@@ -27,7 +27,7 @@ def test_all_that_matters_is_told(tmp_path: Path) -> None:
     line = CliRunner().invoke(application(), ["scene", "info", str(tmp_path), "--json"])
     facts = json.loads(line.output)
     assert facts["summary"]["defaults"]["max_depth"] == 7
-    assert facts["summary"]["parameters"] == {"r": "1"}
+    assert facts["summary"]["parameters"] == [{"name": "r", "value": "1"}]
 
 
 def test_a_scene_that_does_not_load_is_refused(tmp_path: Path) -> None:
