@@ -15,6 +15,11 @@ MAX_COPIED = 100_000
 MAX_LISTED = 12
 """Names that one warning lists; a reader looks no further."""
 
+MAX_WARNINGS = 50
+"""Lines of warnings that one file may cause."""
+MAX_FLOAT = 3.4028234e38
+"""Largest number in single precision; what is beyond it is left to the check of the values, which refuses it."""
+
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _SEPARATORS = re.compile(r"[,;\s]+")
 
@@ -70,6 +75,8 @@ class Rewrite:
             names = [f"{name} (line {nodes[0].line}{_others(nodes)})" for name, nodes in self._left_out.items()]
             rest = f" and {len(names) - MAX_LISTED} others" if len(names) > MAX_LISTED else ""
             lines.append(f"left out, as today's Mitsuba does not know it: {', '.join(names[:MAX_LISTED])}{rest}")
+        if len(lines) > MAX_WARNINGS:
+            lines[MAX_WARNINGS - 1 :] = [f"and {len(lines) - MAX_WARNINGS + 1} other warnings"]
         return lines
 
 
@@ -131,9 +138,10 @@ def text_of(node: Node, name: str, default: str = "") -> str:
 
 
 def numbers(text: str) -> list[float]:
-    """The numbers in a text that holds nothing else; else none."""
+    """The numbers in a text that holds nothing else; none where one is too large."""
     words = [word for word in _SEPARATORS.split(text) if word]
-    return [float(word) for word in words] if all(_NUMBER.fullmatch(word) for word in words) else []
+    found = [float(word) for word in words] if all(_NUMBER.fullmatch(word) for word in words) else []
+    return found if all(abs(value) <= MAX_FLOAT for value in found) else []
 
 
 def constant(node: Node | None) -> list[float] | None:

@@ -1,7 +1,7 @@
 """Scene files of older Mitsubas as today's, by changing the tree before it is checked. Imports no Mitsuba.
 
-What is left to Mitsuba's own step is nothing: that one renames parameters while it reads, past every
-check, and knows few of them.
+Nothing is left to Mitsuba's own step, which renames parameters while it reads, past every check, and
+knows few of them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,14 @@ from elps_core.scene.rewriting import (
     take,
     text_of,
 )
-from elps_core.scene.upgrade_values import camel_to_underscore, upgrade_names, upgrade_uv, upgrade_value
+from elps_core.scene.text import shown
+from elps_core.scene.upgrade_values import (
+    camel_to_underscore,
+    limit_reflectance,
+    upgrade_names,
+    upgrade_uv,
+    upgrade_value,
+)
 
 Version = tuple[int, int, int]
 
@@ -112,7 +119,9 @@ def _upgrade_tree(node: Node, owner: Node | None, rewrite: Rewrite) -> None:
 def _upgrade_object(node: Node, rewrite: Rewrite) -> None:
     if cure := legacy.GONE.get((node.tag, node.type)):
         refuse(node, f"has gone from Mitsuba: {cure}")
-    if node.tag == "texture":
+    if node.tag == "bsdf" and node.type not in upgrade_bsdfs.LOBES:
+        limit_reflectance(node, rewrite)
+    elif node.tag == "texture":
         upgrade_uv(node)
     elif node.tag == "shape":
         upgrade_lights.shape(node)
@@ -134,7 +143,7 @@ def _check_scaled(root: Node) -> None:
             if (child.tag, child.type) != ("texture", "scale"):
                 kept.append(child)
             elif child.attributes.get("id") in used or node.tag != "scene":
-                refuse(child, "scales an image, and nothing does today: scale the image itself")
+                refuse(child, "scales a texture, and nothing does today: change the texture itself")
         node.children = kept
 
 
@@ -170,7 +179,9 @@ def _fit_recorder(node: Node, rewrite: Rewrite) -> None:
         old, node.attributes["type"] = node.type, known.SUBSTITUTES[node.tag]
         if old == "mfilm" and named(node, "pixel_format") is None:
             put(node, "string", "pixel_format", "luminance")  # Its own default
-        rewrite.warn(node, f"stands for '{old}', which today's Mitsuba does not have" if old else "is Mitsuba's own")
+        rewrite.warn(
+            node, f"stands for '{shown(old)}', which today's Mitsuba does not have" if old else "is Mitsuba's own"
+        )
     for child in list(node.children):
         name = child.attributes.get("name", "")
         if child.is_object or child.tag == "ref":
@@ -207,7 +218,7 @@ def _fit_bitmap(node: Node, rewrite: Rewrite) -> None:
     u, v = (text_of(node, f"wrap_mode_{axis}", text_of(node, "wrap_mode", "repeat")) for axis in "uv")
     if named(node, "wrap_mode_u") is not None or named(node, "wrap_mode_v") is not None:
         if u != v:
-            rewrite.warn(node, f"wraps as '{u}' both ways: today's Mitsuba has one mode for an image")
+            rewrite.warn(node, f"wraps as '{shown(u)}' both ways: today's Mitsuba has one mode for an image")
         for name in ("wrap_mode_u", "wrap_mode_v"):
             take(node, name)
         put(node, "string", "wrap_mode", u)

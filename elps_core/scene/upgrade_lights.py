@@ -163,8 +163,10 @@ def vertex_colors(node: Node, _: Rewrite) -> None:
 def scaled_texture(node: Node, rewrite: Rewrite) -> None:
     """Nothing multiplies a texture today: the factor goes into what is multiplied, where that is colours.
 
+    An image stays as it is, for its owner to deal with.
+
     Raises:
-        SceneRejected: it is an image.
+        SceneRejected: the scale is no constant.
     """
     factor = constant(named(node, "scale")) if named(node, "scale") is not None else [1.0]
     inner = [child for child in node.children if child.attributes.get("name") != "scale"]
@@ -176,25 +178,23 @@ def scaled_texture(node: Node, rewrite: Rewrite) -> None:
         node.tag = "rgb"
         node.attributes = {"name": name, "value": written(_product(value, factor))}
         node.children = []
-    elif source.type == "checkerboard" and (colours := _checkers(source)) is not None:
+        return
+    colours = _checkers(source, factor) if source.type == "checkerboard" else {}
+    if colours or min(factor) == max(factor) == 1.0:
         changed = rewrite.copy(source, name)
         for colour, value in colours.items():
-            put(changed, "rgb", colour, _product(value, factor))
-        node.attributes = {**changed.attributes, **{k: v for k, v in node.attributes.items() if k == "id"}}
-        node.children = changed.children
-    elif factor in ([1.0], [1.0, 1.0, 1.0]):
-        changed = rewrite.copy(source, name)
-        node.attributes = {**changed.attributes, **{k: v for k, v in node.attributes.items() if k == "id"}}
-        node.children = changed.children
+            put(changed, "rgb", colour, value)
+        identity = {key: value for key, value in node.attributes.items() if key == "id"}
+        node.attributes, node.children = changed.attributes | identity, changed.children
 
 
-def _checkers(node: Node) -> dict[str, list[float]] | None:
-    found = {}
+def _checkers(node: Node, factor: list[float]) -> dict[str, list[float]]:
+    """The scaled colours of a checkerboard; none where they are no constants, or too bright for a texture."""
+    found: dict[str, list[float]] = {}
     for name, default in (("color0", 0.4), ("color1", 0.2)):
         value = constant(named(node, name)) if named(node, name) is not None else [default]
-        if value is None:
-            return None
-        found[name] = value
+        if value is None or max(found.setdefault(name, _product(value, factor))) > 1.0:
+            return {}
     return found
 
 

@@ -6,7 +6,7 @@ import math
 import re
 
 from elps_core.scene.markup import Node
-from elps_core.scene.rewriting import Rewrite, named, numbers, rename, written
+from elps_core.scene.rewriting import Rewrite, constant, named, numbers, rename, written
 
 PLANCK = 6.62607015e-34
 """Planck's constant, J s."""
@@ -14,6 +14,8 @@ LIGHT_SPEED = 299_792_458.0
 """Speed of light, m/s."""
 BOLTZMANN = 1.380649e-23
 """Boltzmann's constant, J/K."""
+COLDEST = 1.0
+"""Lowest temperature in K of a body that may shine; by 300 its light is beyond single precision anyway."""
 VISIBLE = range(360, 831, 5)
 """Wavelengths in nm at which a black body is tabulated; between them its curve is straight within 0.01%."""
 METRES_PER_NM = 1e-9
@@ -28,6 +30,12 @@ XYZ_TO_RGB = (
 """Rows: red, green and blue of ITU-R BT.709 from X, Y, Z, as Mitsuba 0.x has them."""
 EMISSION = {"emitter": ("radiance", "irradiance", "intensity", "power")}
 """Element -> its parameters that are light."""
+REFLECTANCES = frozenset(
+    {"reflectance", "diffuse_reflectance", "specular_reflectance", "specular_transmittance", "transmittance"}
+)
+"""Parameters of materials that cannot be above 1."""
+ROUNDING = 1e-3
+"""Excess of a reflectance that a conversion of its colour may leave."""
 WHITE = (
     "of one number is equal energy at all wavelengths, as in Mitsuba 3, and a little red: use <rgb> for neutral white"
 )
@@ -70,6 +78,16 @@ def upgrade_value(node: Node, owner: Node | None, rewrite: Rewrite) -> None:
             _join_axes(part)
 
 
+def limit_reflectance(node: Node, rewrite: Rewrite) -> None:
+    """Scale a material's colours that are above 1 down to it, as 0.6 did to conserve energy."""
+    for child in node.children:
+        value = constant(child) or [0.0]
+        if child.attributes.get("name") in REFLECTANCES and child.tag in ("rgb", "spectrum") and max(value) > 1.0:
+            child.attributes["value"] = written([part / max(value) for part in value])
+            if max(value) > 1.0 + ROUNDING:
+                rewrite.warn(node, f"reflects more than it gets: its {child.attributes['name']} is scaled down to 1")
+
+
 def upgrade_uv(node: Node) -> None:
     """``uscale``, ``uoffset``, ``vscale``, ``voffset`` as a transformation: scaled first, then moved."""
     parts = []
@@ -107,7 +125,7 @@ def _upgrade_blackbody(node: Node) -> None:
     kelvin = numbers(_KELVIN.fullmatch(node.attributes.pop("temperature", "").strip())[1])  # type: ignore[index]
     factors = [numbers(node.attributes.pop(name, "1")) for name in ("scale", "multiplier")]
     node.tag = "spectrum"
-    if len(kelvin) == 1 and kelvin[0] > 0 and all(len(factor) == 1 for factor in factors):
+    if len(kelvin) == 1 and kelvin[0] >= COLDEST and all(len(factor) == 1 for factor in factors):
         scale = factors[0][0] * factors[1][0]
         values = (f"{length}:{written(scale * _radiance(length, kelvin[0]))}" for length in VISIBLE)
         node.attributes["value"] = ", ".join(values)
