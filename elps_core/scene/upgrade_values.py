@@ -6,7 +6,7 @@ import math
 import re
 
 from elps_core.scene.markup import Node
-from elps_core.scene.rewriting import Rewrite, constant, named, numbers, rename, written
+from elps_core.scene.rewriting import Rewrite, constant, numbers, rename, take, written
 
 PLANCK = 6.62607015e-34
 """Planck's constant, J s."""
@@ -89,12 +89,12 @@ def limit_reflectance(node: Node, rewrite: Rewrite) -> None:
 
 
 def upgrade_uv(node: Node) -> None:
-    """``uscale``, ``uoffset``, ``vscale``, ``voffset`` as a transformation: scaled first, then moved."""
+    """``uscale``, ``uoffset`` and their like as a transformation: scaled first, then moved."""
     parts = []
-    for tag, names in (("scale", ("uscale", "vscale")), ("translate", ("uoffset", "voffset"))):
-        given = {axis: named(node, name) for axis, name in zip("xy", names, strict=True)}
+    for tag, kind in (("scale", "scale"), ("translate", "offset")):
+        both = take(node, f"uv{kind}")
+        given = {axis: take(node, f"{name}{kind}") or both for axis, name in (("x", "u"), ("y", "v"))}
         values = {axis: child.attributes.get("value", "") for axis, child in given.items() if child is not None}
-        node.children = [child for child in node.children if all(child is not part for part in given.values())]
         if values:
             parts.append(Node(tag, values, node.line))
     if parts:

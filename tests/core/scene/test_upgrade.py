@@ -207,6 +207,11 @@ def test_offset_and_scale_of_a_texture_move_it_as_0_6_did() -> None:
         assert found == float(plain.eval(si)[0])
 
 
+def test_a_scale_of_both_directions_gives_way_to_that_of_one() -> None:
+    same('<texture type="checkerboard"><float name="uvscale" value="4"/><float name="vscale" value="2"/></texture>',
+         '<texture type="checkerboard"><transform name="to_uv"><scale x="4" y="2"/></transform></texture>')  # fmt: skip
+
+
 @pytest.mark.parametrize("name", ["uoffset", "voffset", "uscale", "vscale"])
 def test_a_single_offset_or_scale_is_mitsuba_s_own(name: str) -> None:
     text = f'<scene version="0.6.0"><texture type="checkerboard"><float name="{name}" value="3"/></texture></scene>'
