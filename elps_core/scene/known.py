@@ -31,6 +31,9 @@ PARAMETERS: dict[str, dict[str, frozenset[str]]] = {
 SUBSTITUTES = {"film": "hdrfilm", "sampler": "independent", "rfilter": "gaussian"}
 """Element -> the plugin that stands in for one that today's Mitsuba does not have."""
 
+OLD_FILMS = frozenset({"exrfilm", "ldrfilm", "mfilm", "pngfilm", "tiledhdrfilm"})
+"""Films that have gone; others that are not known may mean anything, and are refused."""
+
 ADVICE = frozenset({"max_depth", "rr_depth", "hide_emitters", "samples_per_pass", "aovs"})
 """Parameters of integrators that defaults of a job are taken from."""
 

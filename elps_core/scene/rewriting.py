@@ -30,7 +30,7 @@ class Rewrite:
     def __init__(self, root: Node) -> None:
         self._by_id: dict[str, Node] = {}
         self._warned: dict[tuple[str, str], list[Node]] = {}
-        self._left_out: dict[str, list[Node]] = {}
+        self._left_out: dict[tuple[str, str], list[Node]] = {}
         self._copied = 0
         todo = [root]
         while todo:
@@ -47,7 +47,7 @@ class Rewrite:
         """Take a parameter off its object, as one that today's Mitsuba does not know."""
         owner.children = [other for other in owner.children if other is not child]
         name = child.attributes.get("name") or f"<{child.tag}>"
-        self._left_out.setdefault(f"{shown(name)} of {label(owner)}", []).append(owner)
+        self._left_out.setdefault((shown(name), label(owner)), []).append(owner)
 
     def target(self, node: Node) -> Node:
         """The element itself, or the one that a reference names (the reference, where that is unknown)."""
@@ -66,18 +66,23 @@ class Rewrite:
         if name:
             attributes["name"] = name
         parts = [self.copy(child, child.attributes.get("name", "")) for child in node.children]
-        return Node(node.tag, attributes, node.line, parts)
+        return element(node, node.tag, attributes, parts)
 
     def warnings(self) -> list[str]:
         """One line for each thing to tell, in the order in which they were met."""
         lines = [f"{nodes[0]}{_others(nodes)} {text}" for (_, text), nodes in self._warned.items()]
         if self._left_out:
-            names = [f"{name} (line {nodes[0].line}{_others(nodes)})" for name, nodes in self._left_out.items()]
+            names = [f"{name} of {nodes[0]}{_others(nodes)}" for (name, _), nodes in self._left_out.items()]
             rest = f" and {len(names) - MAX_LISTED} others" if len(names) > MAX_LISTED else ""
             lines.append(f"left out, as today's Mitsuba does not know it: {', '.join(names[:MAX_LISTED])}{rest}")
         if len(lines) > MAX_WARNINGS:
             lines[MAX_WARNINGS - 1 :] = [f"and {len(lines) - MAX_WARNINGS + 1} other warnings"]
         return lines
+
+
+def element(owner: Node, tag: str, attributes: dict[str, str], children: Sequence[Node] = ()) -> Node:
+    """A new element, which stands where ``owner`` does in the file."""
+    return Node(tag, attributes, owner.line, list(children), owner.file)
 
 
 def _others(nodes: list[Node]) -> str:
@@ -121,7 +126,7 @@ def rename(node: Node, old: str, new: str) -> None:
 def put(node: Node, tag: str, name: str, value: str | float | Sequence[float]) -> None:
     """Set the parameter ``name``, in place of one that is there; numbers are written in single precision."""
     take(node, name)
-    node.children.append(Node(tag, {"name": name, "value": written(value)}, node.line))
+    node.children.append(element(node, tag, {"name": name, "value": written(value)}))
 
 
 def written(value: str | float | Sequence[float]) -> str:

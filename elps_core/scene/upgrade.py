@@ -6,7 +6,7 @@ knows few of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 from elps_core.scene import known, legacy, upgrade_bsdfs, upgrade_lights
 from elps_core.scene.markup import Node
@@ -70,12 +70,12 @@ _HANDLERS: dict[tuple[str, str], _Handler] = {
 """(element, last plugin name of 0.x) -> what makes it today's, once its parts are."""
 
 
-def upgrade(root: Node, version: Version) -> list[str]:
-    """Change a file's tree in place to today's format.
+def upgrade(root: Node, versions: Mapping[str, Version]) -> list[str]:
+    """Change a scene's tree in place to today's format.
 
     Args:
-        root: the file's outermost element, included files' content in it.
-        version: of the Mitsuba that the file is written for.
+        root: the outermost element, the content of included files in it.
+        versions: name of each file, as ``Node.file`` has it -> the Mitsuba that it is written for.
 
     Returns:
         Warnings, one line each, that name element and line.
@@ -84,8 +84,9 @@ def upgrade(root: Node, version: Version) -> list[str]:
         SceneRejected: something has gone from Mitsuba, and nothing is close to it.
     """
     rewrite = Rewrite(root)
-    if version < FIRST_UNDERSCORED:
-        _upgrade_tree(root, None, rewrite)
+    old = {file for file, version in versions.items() if version < FIRST_UNDERSCORED}
+    if old:
+        _upgrade_tree(root, None, old, rewrite)
         _check_scaled(root)
         if "version" in root.attributes:
             root.attributes["version"] = TODAY
@@ -94,26 +95,34 @@ def upgrade(root: Node, version: Version) -> list[str]:
     return rewrite.warnings()
 
 
-def _upgrade_tree(node: Node, owner: Node | None, rewrite: Rewrite) -> None:
+def _upgrade_tree(node: Node, owner: Node | None, old: set[str], rewrite: Rewrite) -> None:
+    """Change an element and all below it, as far as they stand in old files: parts first, as objects depend on them."""
+    changes = node.file in old
+    if changes:
+        _upgrade_words(node, owner, rewrite)
+    for child in list(node.children):
+        _upgrade_tree(child, node, old, rewrite)
+    if changes and node.type and node.tag != "integrator":
+        _upgrade_object(node, rewrite)
+
+
+def _upgrade_words(node: Node, owner: Node | None, rewrite: Rewrite) -> None:
+    """Give an element and its parameters today's names, and a value today's form."""
     of_old_cameras = node.tag == "camera"
     node.tag = legacy.TAGS.get(node.tag, node.tag)
     node.children = [child for child in node.children if child.tag != "null"]
     for child in node.children:
         if child.tag == "lookAt":
             child.tag = "lookat"
-    if node.type:
-        kind = node.type.lower()
-        node.attributes["type"] = legacy.PLUGINS.get((node.tag, kind), kind)
-        upgrade_names(node, legacy.PARAMETERS.get((node.tag, node.type), {}))
-        if of_old_cameras:
-            upgrade_lights.camera(node)
-    else:
+    if not node.type:
         upgrade_names(node, {})
         upgrade_value(node, owner, rewrite)
-    for child in list(node.children):
-        _upgrade_tree(child, node, rewrite)
-    if node.type and node.tag != "integrator":
-        _upgrade_object(node, rewrite)
+        return
+    kind = node.type.lower()
+    node.attributes["type"] = legacy.PLUGINS.get((node.tag, kind), kind)
+    upgrade_names(node, legacy.PARAMETERS.get((node.tag, node.type), {}))
+    if of_old_cameras:
+        upgrade_lights.camera(node)
 
 
 def _upgrade_object(node: Node, rewrite: Rewrite) -> None:
@@ -161,9 +170,12 @@ def _leave_out_unknown(node: Node, rewrite: Rewrite) -> None:
     if node.tag in known.PARAMETERS:
         _fit_recorder(node, rewrite)
     elif node.tag == "integrator":
-        for child in list(node.children):
-            if child.tag != "integrator" and child.attributes.get("name") not in known.ADVICE:
-                rewrite.leave_out(node, child)
+        # It is left out itself: what no advice is taken from is no matter.
+        node.children = [
+            child
+            for child in node.children
+            if child.tag == "integrator" or child.attributes.get("name") in known.ADVICE
+        ]
     elif node.tag in known.HARMLESS:
         if (node.tag, node.type) == ("texture", "bitmap"):
             _fit_bitmap(node, rewrite)
@@ -175,6 +187,8 @@ def _leave_out_unknown(node: Node, rewrite: Rewrite) -> None:
 def _fit_recorder(node: Node, rewrite: Rewrite) -> None:
     """A film, sampler or filter: plugins and parameters that today's Mitsuba knows."""
     plugins = known.PARAMETERS[node.tag]
+    if node.tag == "film" and node.type not in plugins.keys() | known.OLD_FILMS:
+        return
     if node.type not in plugins:
         old, node.attributes["type"] = node.type, known.SUBSTITUTES[node.tag]
         if old == "mfilm" and named(node, "pixel_format") is None:

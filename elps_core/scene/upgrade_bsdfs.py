@@ -9,6 +9,7 @@ from elps_core.scene.markup import Node
 from elps_core.scene.rewriting import (
     Rewrite,
     constant,
+    element,
     named,
     number_of,
     numbers,
@@ -42,7 +43,7 @@ def diffuse(node: Node, rewrite: Rewrite) -> None:
     factor = constant(named(source, "scale"))
     inner = [child for child in source.children if child.attributes.get("name") != "scale"]
     if factor is not None and len(set(factor)) == 1 and 0.0 <= factor[0] <= 1.0 and len(inner) == 1:
-        scaled = Node("bsdf", {"type": "diffuse"}, node.line, [rewrite.copy(inner[0], "reflectance")])
+        scaled = element(node, "bsdf", {"type": "diffuse"}, [rewrite.copy(inner[0], "reflectance")])
         _become(node, "blendbsdf", [_black(node), scaled])
         put(node, "float", "weight", factor[0])
 
@@ -130,7 +131,7 @@ def _two_lobes(node: Node, widths: dict[str, float], rewrite: Rewrite) -> None:
     for (given, value, most), kind_of, name in zip(
         lobes, ("diffuse", "roughconductor"), ("reflectance", "specular_reflectance"), strict=True
     ):
-        material = Node("bsdf", {"type": kind_of}, node.line)
+        material = element(node, "bsdf", {"type": kind_of})
         if given is not None:
             given.attributes["name"] = name
             material.children.append(given)
@@ -179,7 +180,7 @@ def coating(node: Node, rewrite: Rewrite) -> None:
     materials = []
     for black in (False, True):
         copies = [rewrite.copy(part, part.attributes.get("name", "")) for part in parts]
-        material = Node("bsdf", {"type": plugin}, node.line, copies)
+        material = element(node, "bsdf", {"type": plugin}, copies)
         if colour is not None and not black:
             material.children.append(rewrite.copy(colour, "diffuse_reflectance"))
         else:
@@ -212,7 +213,7 @@ def mixture(node: Node, rewrite: Rewrite) -> None:
     """
     given = take(node, "weights")
     weights = numbers(given.attributes.get("value", "")) if given is not None else []
-    materials = [child for child in node.children if rewrite.target(child).tag == "bsdf"]
+    materials = [child for child in node.children if rewrite.target(child).tag in ("bsdf", "ref")]
     if len(weights) != len(materials) or not 0 < len(weights) <= MAX_MIXED:
         refuse(node, f"needs one weight for each of its materials, at most {MAX_MIXED}")
     total = sum(weights)
@@ -232,7 +233,7 @@ def _blend(node: Node, weights: list[float], materials: list[Node]) -> None:
     for values, group in ((weights[:half], materials[:half]), (weights[half:], materials[half:])):
         part = group[0]
         if len(group) > 1:
-            part = Node("bsdf", {"type": "blendbsdf"}, node.line)
+            part = element(node, "bsdf", {"type": "blendbsdf"})
             _blend(part, values, group)
         parts.append(part)
     _become(node, "blendbsdf", parts)
@@ -279,7 +280,7 @@ def _index(given: Node | None, owner: Node, default: float) -> float:
 
 
 def _black(node: Node) -> Node:
-    black = Node("bsdf", {"type": "diffuse"}, node.line)
+    black = element(node, "bsdf", {"type": "diffuse"})
     put(black, "float", "reflectance", 0.0)
     return black
 

@@ -6,6 +6,7 @@ from elps_core.scene.markup import Node
 from elps_core.scene.rewriting import (
     Rewrite,
     constant,
+    element,
     named,
     number_of,
     numbers,
@@ -54,9 +55,9 @@ def sky(node: Node, rewrite: Rewrite) -> None:
         take(node, name)
     to_world = named(node, "to_world")
     if to_world is None:
-        to_world = Node("transform", {"name": "to_world"}, node.line)
+        to_world = element(node, "transform", {"name": "to_world"})
         node.children.append(to_world)
-    to_world.children.insert(0, Node("matrix", {"value": SKY_AXES}, node.line))
+    to_world.children.insert(0, element(node, "matrix", {"value": SKY_AXES}))
     dark = "; it gives no light from below the horizon, as the file asks" if below else ""
     rewrite.warn(node, f"stands for '{kind}' of Mitsuba 0.x: nearly the same light, y is up{dark}")
 
@@ -80,7 +81,7 @@ def camera(node: Node) -> None:
     """``<camera>``, of before 0.4: it looked at a mirror image, and its angle was that of the smaller side."""
     transform = named(node, "to_world")
     if transform is not None:
-        transform.children.insert(0, Node("scale", {"x": "-1"}, node.line))
+        transform.children.insert(0, element(node, "scale", {"x": "-1"}))
     larger = text_of(node, "map_smaller_side", "true") == "false"
     take(node, "map_smaller_side")
     if node.type in ("perspective", "thinlens"):
@@ -137,9 +138,9 @@ def gridvolume(node: Node, _: Rewrite) -> None:
         place = {axis: written(a[0]) for axis, a in zip("xyz", low, strict=True)}
         transform = named(node, "to_world")
         if transform is None:
-            transform = Node("transform", {"name": "to_world"}, node.line)
+            transform = element(node, "transform", {"name": "to_world"})
             node.children.append(transform)
-        transform.children[:0] = [Node("scale", size, node.line), Node("translate", place, node.line)]
+        transform.children[:0] = [element(node, "scale", size), element(node, "translate", place)]
     elif named(node, "use_grid_bbox") is None:
         put(node, "boolean", "use_grid_bbox", "true")
 
@@ -207,4 +208,4 @@ def shape(node: Node) -> None:
     media = [child for child in node.children if child.attributes.get("name") in ("interior", "exterior")]
     others = [child for child in node.children if child.tag in ("bsdf", "ref") and child not in media]
     if media and not others:
-        node.children.append(Node("bsdf", {"type": "null"}, node.line))
+        node.children.append(element(node, "bsdf", {"type": "null"}))

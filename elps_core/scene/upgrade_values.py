@@ -6,7 +6,7 @@ import math
 import re
 
 from elps_core.scene.markup import Node
-from elps_core.scene.rewriting import Rewrite, constant, numbers, rename, take, written
+from elps_core.scene.rewriting import Rewrite, constant, element, numbers, rename, take, written
 
 PLANCK = 6.62607015e-34
 """Planck's constant, J s."""
@@ -74,7 +74,7 @@ def upgrade_value(node: Node, owner: Node | None, rewrite: Rewrite) -> None:
     elif node.tag == "transform":
         for part in [part for part in node.children if part.tag == "lookat" and "ox" in part.attributes]:
             # Before 0.3: three numbers each, and left-handed.
-            node.children.insert(node.children.index(part), Node("scale", {"x": "-1"}, part.line))
+            node.children.insert(node.children.index(part), element(part, "scale", {"x": "-1"}))
             _join_axes(part)
 
 
@@ -96,9 +96,9 @@ def upgrade_uv(node: Node) -> None:
         given = {axis: take(node, f"{name}{kind}") or both for axis, name in (("x", "u"), ("y", "v"))}
         values = {axis: child.attributes.get("value", "") for axis, child in given.items() if child is not None}
         if values:
-            parts.append(Node(tag, values, node.line))
+            parts.append(element(node, tag, values))
     if parts:
-        node.children.append(Node("transform", {"name": "to_uv"}, node.line, parts))
+        node.children.append(element(node, "transform", {"name": "to_uv"}, parts))
 
 
 def _components(node: Node) -> list[float]:

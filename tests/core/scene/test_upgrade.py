@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
@@ -13,9 +14,12 @@ import pytest
 from elps_core import device
 from elps_core.errors import SceneRejected
 from elps_core.scene import known, plugins, rewriting, rules
+from elps_core.scene.loader import load_scene
 from elps_core.scene.markup import Node, write
 from elps_core.scene.upgrade import upgrade
 from elps_core.scene.upgrade_bsdfs import internal_reflectance
+
+from .conftest import LIGHT, SENSOR, folder_of
 
 OLD = (0, 6, 0)
 TODAY = (3, 0, 0)
@@ -46,7 +50,7 @@ def tree(text: str) -> Node:
 
 def upgraded(text: str, version: tuple[int, int, int] = OLD) -> tuple[Node, list[str]]:
     root = tree(text)
-    return root, upgrade(root, version)
+    return root, upgrade(root, {"": version})
 
 
 def one(text: str, version: tuple[int, int, int] = OLD) -> Node:
@@ -589,6 +593,66 @@ def test_the_lists_of_parameters_are_mitsuba_s(tag: str, plugin: str) -> None:
         mi.set_variant(VARIANT)
 
 
+# Through the loader
+
+MATERIALS_0_6 = b"""<scene version="0.6.0">
+    <bsdf type="diffuse" id="base"><srgb name="diffuseReflectance" value="#bcbcbc"/></bsdf>
+    <bsdf type="roughdiffuse" id="wall"/></scene>"""
+PARTS = """<scene version="{}">{}<include filename="materials.xml"/>
+    <bsdf type="twosided" id="coated"><bsdf type="{}"/></bsdf>
+    <shape type="rectangle"><ref id="base"/></shape><shape type="sphere"><ref id="wall"/></shape>{}</scene>"""
+
+
+def test_each_file_is_of_its_own_version(tmp_path: Path) -> None:
+    """Names of 0.6 are taken in the included file, and not in that of today, which is held to today's."""
+    files = {"materials.xml": MATERIALS_0_6, "scene.xml": PARTS.format("3.0.0", SENSOR, "diffuse", LIGHT).encode()}
+    scene = load_scene(folder_of(tmp_path / "a", files), VARIANT)
+    assert scene.summary.bsdfs == ("diffuse",)
+    (warning,) = scene.summary.warnings
+    assert warning.startswith("<bsdf type=\"diffuse\"> (line 3 of 'materials.xml') stands for 'roughdiffuse'")
+    files["scene.xml"] = PARTS.format("3.0.0", SENSOR, "roughdiffuse", LIGHT).encode()
+    with pytest.raises(SceneRejected, match=r"roughdiffuse.*not one that a scene may use"):
+        load_scene(folder_of(tmp_path / "b", files), VARIANT)
+
+
+def test_a_material_may_be_in_another_file_than_its_coat(tmp_path: Path) -> None:
+    coat = '<bsdf type="coating"><ref id="base"/></bsdf>'
+    shape = f'<include filename="materials.xml"/><shape type="cube">{coat}</shape>'
+    text = f'<scene version="0.6.0">{SENSOR}{LIGHT}{shape}</scene>'
+    scene = load_scene(folder_of(tmp_path / "a", {"materials.xml": MATERIALS_0_6, "scene.xml": text.encode()}), VARIANT)
+    assert scene.summary.bsdfs == ("blendbsdf", "plastic")
+
+
+@pytest.mark.parametrize("version", ["", ' version="0.6.0"', ' version="2.1.0"'])
+def test_a_single_included_element_has_a_version_or_that_of_its_place(version: str, tmp_path: Path) -> None:
+    part = f'<bsdf type="diffuse" id="x"{version}><rgb name="reflectance" value="0 0 1"/></bsdf>'.encode()
+    shape = '<include filename="part.xml"/><shape type="cube"><ref id="x"/></shape>'
+    text = f'<scene version="0.6.0">{SENSOR}{LIGHT}{shape}</scene>'
+    files = {"part.xml": part, "scene.xml": text.encode()}
+    assert load_scene(folder_of(tmp_path / "a", files), VARIANT).summary.shapes == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<shape type="BLENDER"/>',
+        '<bsdf type="Measured"><string name="fileName" value="a.bsdf"/></bsdf>',
+        '<shape type="../Evil"/>',
+        '<luminaire type="EllipsoidsMesh"/>',
+        '<bsdf type="conductor"><string name="material" value="../../etc"/></bsdf>',
+        '<shape type="ply"><string name="fileName" value="/etc/passwd"/></shape>',
+        '<camera type="perspective" version="3.0.0"/>',
+        '<bsdf type="scale"/>',
+        '<film type="evil"/>',
+        '<spectrum type="bitmap" fileName="x"/>',
+    ],
+)
+def test_old_spellings_reach_nothing_that_today_s_do_not(text: str, tmp_path: Path) -> None:
+    scene = f'<scene version="0.6.0">{SENSOR}{LIGHT}<shape type="cube"/>{text}</scene>'
+    with pytest.raises(SceneRejected):
+        load_scene(folder_of(tmp_path / "a", {"scene.xml": scene.encode()}), VARIANT)
+
+
 def test_alike_warnings_are_one_line() -> None:
     assert told('<bsdf type="roughdiffuse"/>\n<bsdf type="roughdiffuse"/>') == [
         "<bsdf type=\"diffuse\"> (line 1) and 1 more stands for 'roughdiffuse' of Mitsuba 0.x: darker at grazing angles"
@@ -631,7 +695,7 @@ def test_numbers_without_measure_end_in_a_refusal_at_the_latest_by_the_rules(tex
 
 
 def test_warnings_are_few_and_show_no_odd_characters() -> None:
-    lines = told("".join(f'<film type="a\u200b{i}"/>' for i in range(200)))
+    lines = told("".join(f'<sampler type="a\u200b{i}"/>' for i in range(200)))
     assert len(lines) == rewriting.MAX_WARNINGS
     assert lines[-1] == "and 151 other warnings"
     assert "a?0" in lines[0]
