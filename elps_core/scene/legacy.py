@@ -36,7 +36,7 @@ PARAMETERS = {
 
 NO_EFFECT = {
     "bsdf": frozenset(
-        {"ensure_energy_conservation", "specular_sampling_weight", "use_fast_approx", "verify_energy_conservation"}
+        {"ensure_energy_conservation", "preserve_colors", "specular_sampling_weight", "verify_energy_conservation"}
     ),
     "emitter": frozenset({"cache", "gamma", "resolution"}),
     "medium": frozenset({"method", "step_size"}),

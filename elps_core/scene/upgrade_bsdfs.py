@@ -26,6 +26,10 @@ LOBES = {"phong": (0.5, 0.2), "ward": (0.5, 0.2)}
 """Plugin -> its diffuse and specular reflectance where the scene does not say."""
 PHONG_EXPONENT = 30.0
 """Mitsuba 0.6's own."""
+DIFFUSE = 0.5
+"""The reflectance of ``diffuse`` where the scene does not say, then and now."""
+ROUGH = ("distribution", "alpha", "alpha_u", "alpha_v")
+"""Parameters that say how rough a surface is."""
 ROUGHNESS = 0.1
 """The alpha of every rough material where the scene does not say, then and now."""
 DEFAULT_METAL = "Cu"
@@ -149,52 +153,69 @@ def _two_lobes(node: Node, widths: dict[str, float], rewrite: Rewrite) -> None:
 
 
 def coating(node: Node, rewrite: Rewrite) -> None:
-    """A clear coat over a diffuse base: ``plastic`` without the light that the coat throws back inside.
+    """A clear coat: over a diffuse base ``plastic``, over another one a blend with a mirror.
+
+    Raises:
+        SceneRejected: a coat that absorbs, or without one base.
+    """
+    kind = node.type
+    bases = [child for child in node.children if rewrite.target(child).tag in ("bsdf", "ref")]
+    absorption = take(node, "sigma_a")
+    if len(bases) != 1:
+        refuse(node, "needs one material to coat")
+    if absorption is not None and any(constant(absorption) or [1.0]):
+        refuse(node, f"has a coat that absorbs, and '{kind}' has gone from Mitsuba: use 'plastic' of another colour")
+    take(node, "thickness")
+    if kind == "roughcoating":
+        distribution(node, rewrite)
+    inside = _index(named(node, "int_ior"), node, INDICES["bk7"])
+    relative = inside / _index(named(node, "ext_ior"), node, INDICES["air"])
+    if relative <= 1.0:
+        refuse(node, "has a coat that is thinner than what is around it: exchange int_ior and ext_ior")
+    base = rewrite.target(bases[0])
+    if base.type == "diffuse":
+        _coat_diffuse(node, base, internal_reflectance(relative), rewrite)
+    else:
+        _coat_other(node, bases[0], ((relative - 1.0) / (relative + 1.0)) ** 2, rewrite)
+
+
+def _coat_diffuse(node: Node, base: Node, inside: float, rewrite: Rewrite) -> None:
+    """``plastic`` without the light that a coat throws back inside, which 0.6 leaves out.
 
     Today's plastic divides its diffuse part by 1 - F, F being the internal reflectance. A blend with a
     plastic of a black base, of weight F, is what 0.6 computes.
-
-    Raises:
-        SceneRejected: another base, or a coat that absorbs.
     """
     kind = node.type
-    base = _base(node, rewrite)
-    if base is None:
-        refuse(node, f"coats something that is not 'diffuse', and '{kind}' has gone from Mitsuba: use 'principled'")
-    if any(constant(named(node, "sigma_a")) or [1.0]) and named(node, "sigma_a") is not None:
-        refuse(node, f"has a coat that absorbs, and '{kind}' has gone from Mitsuba: use 'plastic' of another colour")
-    for name in ("sigma_a", "thickness"):
-        take(node, name)
-    plugin = "plastic" if kind == "coating" else "roughplastic"
-    if plugin == "roughplastic":
-        distribution(node, rewrite)
-    relative = _index(named(node, "int_ior"), node, INDICES["bk7"]) / _index(
-        named(node, "ext_ior"), node, INDICES["air"]
-    )
-    if relative <= 1.0:
-        refuse(node, "has a coat that is thinner than what is around it: exchange int_ior and ext_ior")
     if named(node, "int_ior") is None:
         put(node, "string", "int_ior", "bk7")
     colour = named(base, "reflectance")
-    parts = [child for child in node.children if rewrite.target(child).tag != "bsdf"]
+    parts = [child for child in node.children if rewrite.target(child) is not base]
     materials = []
     for black in (False, True):
         copies = [rewrite.copy(part, part.attributes.get("name", "")) for part in parts]
-        material = element(node, "bsdf", {"type": plugin}, copies)
+        material = element(node, "bsdf", {"type": "plastic" if kind == "coating" else "roughplastic"}, copies)
         if colour is not None and not black:
             material.children.append(rewrite.copy(colour, "diffuse_reflectance"))
         else:
-            put(material, "float", "diffuse_reflectance", 0.0 if black else 0.5)
+            put(material, "float", "diffuse_reflectance", 0.0 if black else DIFFUSE)
         materials.append(material)
     _become(node, "blendbsdf", materials)
-    put(node, "float", "weight", internal_reflectance(relative))
+    put(node, "float", "weight", inside)
     if kind == "roughcoating":
         rewrite.warn(node, "stands for 'roughcoating' of Mitsuba 0.x: its base differs a little in brightness")
 
 
-def _base(node: Node, rewrite: Rewrite) -> Node | None:
-    bases = [target for child in node.children if (target := rewrite.target(child)).tag == "bsdf"]
-    return bases[0] if len(bases) == 1 and bases[0].type == "diffuse" else None
+def _coat_other(node: Node, base: Node, reflectance: float, rewrite: Rewrite) -> None:
+    """A mirror that takes the share of light that a coat reflects at normal incidence."""
+    kind = node.type
+    coat = element(node, "bsdf", {"type": "conductor" if kind == "coating" else "roughconductor"})
+    names = {"specular_reflectance", *(ROUGH if kind == "roughcoating" else ())}
+    coat.children = [child for child in node.children if child.attributes.get("name") in names]
+    put(coat, "string", "material", "none")
+    base.attributes.pop("name", None)
+    _become(node, "blendbsdf", [base, coat])
+    put(node, "float", "weight", reflectance)
+    rewrite.warn(node, f"stands for '{kind}' of Mitsuba 0.x: its coat reflects alike from all sides")
 
 
 def internal_reflectance(relative: float) -> float:

@@ -365,11 +365,20 @@ def test_internal_reflectance_is_the_one_that_plastic_divides_by() -> None:
         assert internal_reflectance(index) == pytest.approx(float(mi.fresnel_diffuse_reflectance(1 / index)), rel=1e-6)
 
 
-def test_coats_over_others_or_tinted_ones_are_refused() -> None:
-    with pytest.raises(SceneRejected, match="coats something that is not 'diffuse'"):
-        one('<bsdf type="coating"><bsdf type="roughconductor"/></bsdf>')
+def test_a_coat_over_another_base_is_a_share_of_mirror() -> None:
+    metal = '<bsdf type="roughconductor"><string name="material" value="Ag"/></bsdf>'
+    text = f"""<bsdf type="roughcoating"><float name="intIOR" value="1.5"/><float name="extIOR" value="1"/>
+        <float name="alpha" value="0.3"/>{metal}</bsdf>"""
+    same(
+        text,
+        f"""<bsdf type="blendbsdf">{metal}<bsdf type="roughconductor"><float name="alpha" value="0.3"/>
+        <string name="material" value="none"/></bsdf><float name="weight" value="0.04"/></bsdf>""",
+    )
+    assert "its coat reflects alike" in told(text)[0]
     with pytest.raises(SceneRejected, match="absorbs"):
         one('<bsdf type="coating"><rgb name="sigmaA" value="0 1 0"/><bsdf type="diffuse"/></bsdf>')
+    with pytest.raises(SceneRejected, match="one material"):
+        one('<bsdf type="coating"/>')
 
 
 def test_a_mixture_is_a_weighted_sum() -> None:
@@ -396,6 +405,46 @@ def test_a_diffuse_transmitter_transmits_diffusely() -> None:
     )
     for direction in ((-x, -y, z), wo):
         assert reflected(bsdf, (x, y, z), direction) == 0.0
+
+
+DOCUMENTED = [
+    '<bsdf type="plastic"><boolean name="preserveColors" value="true"/><spectrum name="specularReflectance" value="1"/>'
+    '<srgb name="diffuseReflectance" value="#18455c"/><float name="intIOR" value="1.9"/></bsdf>',
+    '<bsdf type="roughplastic"><string name="distribution" value="GGX"/><boolean name="nonlinear" value="true"/>'
+    '<rgb name="diffuseReflectance" value="0"/><float name="alpha" value="0.15"/></bsdf>',
+    '<bsdf type="thindielectric"><string name="intIOR" value="Acrylic Glass"/></bsdf>',
+    '<bsdf type="roughdielectric"><string name="distribution" value="as"/><float name="alphaU" value=".1"/>'
+    '<float name="alphaV" value=".3"/><string name="extIOR" value="air"/></bsdf>',
+    '<bsdf type="roughconductor"><float name="extEta" value="1.0"/><srgb name="specularReflectance" value="1 1 1"/>'
+    '<boolean name="sampleVisible" value="false"/></bsdf>',
+    '<bsdf type="conductor"><rgb name="eta" value="1.65 0.88 0.52"/><rgb name="k" value="9.2 6.2 4.8"/></bsdf>',
+    '<bsdf type="mask"><spectrum name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>',
+    '<bsdf type="blendbsdf"><texture name="weight" type="checkerboard"/><bsdf type="conductor"/>'
+    '<bsdf type="phong"/></bsdf>',
+    '<bsdf type="coating"><bsdf type="mixturebsdf"><string name="weights" value=".5 .3"/><bsdf type="diffuse"/>'
+    '<bsdf type="difftrans"/></bsdf></bsdf>',
+    '<bsdf type="coating"><float name="thickness" value="2"/><bsdf type="roughdiffuse"/></bsdf>',
+    '<bsdf type="bumpmap"><texture type="checkerboard"/><bsdf type="ward"><string name="variant" value="ward"/>'
+    "</bsdf></bsdf>",
+    '<bsdf type="twosided"><bsdf type="ward"/><bsdf type="lambertian"/></bsdf>',
+    '<bsdf type="dielectric"><rgb name="specularTransmittance" value="255 102 102"/></bsdf>',
+    '<medium type="heterogeneous"><string name="method" value="woodcock"/><volume name="density" type="constvolume">'
+    '<float name="value" value="1"/></volume><volume name="albedo" type="constvolume"><rgb name="value" value=".5"/>'
+    '</volume><float name="scale" value="100"/><phase type="mixturephase"><string name="weights" value="1 3"/>'
+    '<phase type="isotropic"/><phase type="hg"/></phase></medium>',
+    '<sensor type="perspective"><float name="focusDistance" value="3"/><string name="focalLength" value="50mm"/>'
+    "</sensor>",
+    '<sensor type="orthographic"><transform name="toWorld"><scale x="10" y="10"/></transform></sensor>',
+    '<emitter type="directional"><vector name="direction" x="1" y="0" z="0"/><float name="samplingWeight" value="3"/>'
+    '<spectrum name="irradiance" value="400:3, 700:4"/></emitter>',
+    '<shape type="cylinder"><point name="p0" x="0" y="0" z="0"/><boolean name="flipNormals" value="true"/></shape>',
+]  # fmt: skip
+"""Objects in the style of the manual of Mitsuba 0.6."""
+
+
+@pytest.mark.parametrize("text", DOCUMENTED)
+def test_what_the_manual_of_0_6_shows_can_be_made(text: str) -> None:
+    assert made(one(text)) is not None
 
 
 @pytest.mark.parametrize("given", ["as", "phong", "Beckmann", "GGX"])
