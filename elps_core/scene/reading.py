@@ -18,6 +18,7 @@ from elps_core.scene.bundle import DEFAULT_LIMITS, BundleLimits, open_regular
 from elps_core.scene.files import Files
 from elps_core.scene.markup import Node
 from elps_core.scene.text import shown
+from elps_core.scene.upgrade import Version, upgrade
 
 MAX_DEPTH = 32
 """Nesting of elements; BSDFs inside BSDFs inside shapes inside groups need about ten."""
@@ -70,6 +71,7 @@ def read(
     if unused:
         raise SceneRejected(f"the scene has no parameter '{shown(min(unused))}'{_known(reading.declared)}")
     reading.rename(root)
+    reading.warnings += upgrade(root, reading.versions)
     markup.check(root)
     return Document(root, dict(reading.values), tuple(reading.warnings))
 
@@ -92,6 +94,10 @@ class _Reading:
         self.aliases: dict[str, str] = {}
         self.open: list[Path] = []
         """Files that are being read, each included by the one before."""
+        self.names: list[str] = []
+        """Their names, as elements have them."""
+        self.versions: dict[str, Version] = {}
+        """Name of a file -> the Mitsuba that it is written for."""
         self.warnings: list[str] = []
         self.included: dict[int, tuple[Node, list[Node]]] = {}
         """``id`` of an ``<include>`` -> itself, and the elements that take its place."""
@@ -117,8 +123,10 @@ class _Reading:
         if self.bytes > self.limits.xml_bytes:
             raise SceneRejected(f"{label} is larger than {self.limits.xml_bytes} bytes: move its data into mesh files")
         self.open.append(path)
+        self.names.append(name)
         root = _Reader(self, name).read(content, label)
         self.open.pop()
+        self.names.pop()
         return root
 
     def include(self, node: Node) -> None:
@@ -139,10 +147,19 @@ class _Reading:
             todo.extend(node.children)
 
     def check_version(self, root: Node) -> None:
-        """Refuse a file whose format nobody knows; one element alone, which is included, has the including file's."""
+        """Refuse a file whose format nobody knows; a single included element may have the including file's."""
+        given = root.attributes.get("version")
+        found = _VERSION.fullmatch(given or "")
         alone = len(self.open) > 1 and root.tag != "scene"
-        if not alone and (root.tag != "scene" or not _VERSION.fullmatch(root.attributes.get("version", ""))):
+        if alone and given is None:
+            self.versions[root.file] = self.versions[self.names[-2]]
+        elif found and (alone or root.tag == "scene"):
+            major, minor, patch = map(int, found.groups())
+            self.versions[root.file] = major, minor, patch
+        else:
             raise SceneRejected(f'{root}: the root element must be <scene version="3.0.0">, or of another version')
+        if alone:
+            root.attributes.pop("version", None)
 
     def declare(self, node: Node) -> None:
         """Take up the parameter of a ``<default>``."""
