@@ -22,7 +22,7 @@ from elps_core.integrators.canvas import Canvas
 from elps_core.paths.stream import key_seed
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
-from elps_core.selection.candidates import Choice, choose, fit_candidates, plain_of
+from elps_core.selection.candidates import PATH, Choice, choose, fit_candidates, plain_of
 from elps_core.settings import DEPTH_BASELINES, MAX_DEPTH, RenderSettings
 
 _Image: TypeAlias = "NDArray[np.float32]"
@@ -55,7 +55,8 @@ class Renderer:
     def _choose(self, context: GlobalContext | None) -> Choice:
         settings = self.settings
         if settings.integrator == "auto" and context is None:
-            plain = plain_of(fit_candidates(self.scene.summary, settings.context))
+            fit = fit_candidates(self.scene.summary, settings.context)
+            plain = PATH if settings.hide_emitters else plain_of(fit)
             return Choice(plain.settings(settings), plain.name)
         return choose(settings, context.statistics if context else None)
 
@@ -83,6 +84,8 @@ class Renderer:
             never = self.settings.max_depth + 1  # Roulette is not asked for where there is no limit
             description["max_depth"] = self.settings.max_depth
             description["rr_depth"] = never if self.settings.roulette == "none" else self.settings.rr_depth
+        if self.settings.hide_emitters:
+            description["hide_emitters"] = True
         try:
             return mi.load_dict(description)
         except Exception:
@@ -127,7 +130,9 @@ class Renderer:
         if self._alpha is None:
             scene = self.scene
             longest = min(self.settings.longest, MAX_DEPTH)
-            self._alpha = AlphaFrames(scene.scene, Camera(scene.sensor), self._canvas, longest)
+            self._alpha = AlphaFrames(
+                scene.scene, Camera(scene.sensor), self._canvas, longest, hides=self.settings.hide_emitters
+            )
         return np.array(self._alpha.render(spp, (self.settings.seed, index)))
 
     def _render_baseline(self, spp: int, index: int) -> tuple[_Image, _Image, _Image | None, _Image | None]:

@@ -42,6 +42,8 @@ MITSUBA_BASELINES = (*DEPTH_BASELINES, "direct", "depth")
 """Mitsuba integrators that may be named as ``mi_<name>``."""
 INTEGRATORS = ("auto", *BUILT_INTEGRATORS, *(f"mi_{name}" for name in MITSUBA_BASELINES))
 """All that the setting ``integrator`` takes."""
+HIDING = ("auto", "path", "mi_path", "mi_volpath", "mi_volpathmis", "mi_direct")
+"""Integrators that can hide emitters from the camera."""
 USUAL_PATHS, MOST_PATHS = 2**21, 2**23
 """Paths for the tables of a render without a limit of time, and at most: with more, tables hardly gain."""
 LONGEST = 4096.0
@@ -233,6 +235,9 @@ class RenderSettings(_Model):
     """Longest path in segments, as Mitsuba counts: 1 is directly visible emission only; -1 is no limit, so that
     roulette alone ends paths. Where light paths are kept to be joined, or chains have a number for every vertex, paths
     of more than 256 segments are left out then."""
+    hide_emitters: bool = False
+    """Whether the camera sees no emitters: it sees what is behind those with a surface, and black for the environment.
+    Of our own integrators ``path`` and ``auto`` can, where no light paths reach the camera."""
     heuristic: HeuristicKind = "power"
     """How strategies that can make the same path share its light [thesis 3.7.1]."""
     path: PathSettings = PathSettings()
@@ -281,6 +286,8 @@ class RenderSettings(_Model):
                 )
         if self.needs_tables and self.context.regions == 0:
             raise ValueError("context.regions: what goes by context needs tables: give 1 or more regions")
+        if self.hide_emitters and self.integrator not in HIDING:
+            raise ValueError(f"hide_emitters: {self.integrator} shows them: choose one of {', '.join(HIDING)}")
         if self.integrator == "auto":
             self._check_auto()
         if self.integrator == "auto" and not self.context.adaptive:

@@ -128,6 +128,7 @@ class Bdpt:
         worth: Worth | None = None,
         thinning: int = 1,
         region_lights: RegionLights | None = None,
+        hides: bool = False,
     ) -> None:
         self.scene = scene
         self.camera = camera
@@ -143,6 +144,8 @@ class Bdpt:
         # Data, not code: 4 and 16 eye paths for a light path are one kernel.
         self._fraction = 1.0 if thinning == 1 else dr.opaque(mi.Float, 1.0 / thinning)
         self.region_lights = region_lights
+        self.hides = hides
+        """Whether the camera sees no emitters: only where no light paths reach it."""
         self.connector = Connector(
             scene, camera, lights, self.directions, self.strategies, self.heuristic, self._fraction, region_lights
         )
@@ -163,6 +166,7 @@ class Bdpt:
             worth=self.worth,
             thinning=self.thinning,
             region_lights=self.region_lights,
+            hides=self.hides,
         )
 
     def trace(
@@ -201,6 +205,8 @@ class Bdpt:
 
         def visit(walk: Walk, vertex: Vertex, eye: _Eye, active: mi.Bool) -> _Eye:
             emitted, hit_cell = connector.hit_emitter(walk, vertex, eye.region, active)
+            if self.hides:
+                emitted = dr.select(vertex.depth > 1, emitted, 0.0)
             if deposit:
                 deposit(hit_cell, emitted, walk.ray.wavelengths, walk.active)
             radiance = eye.radiance + emitted
@@ -237,7 +243,8 @@ class Bdpt:
         def begin(sample: mi.UInt32, stream: Stream, active: mi.Bool) -> Walk:
             position, u_wavelength = samples.at(sample, active)
             stream = stream.at(sample, active)
-            return self.eye_start(self.primary(position, stream, u_wavelength), stream)
+            walk = self.eye_start(self.primary(position, stream, u_wavelength), stream)
+            return self._past_emitters(walk) if self.hides else walk
 
         def renew(walk: Walk, eye: _Eye) -> tuple[Walk, _Eye]:
             ended = ~walk.active
@@ -298,6 +305,22 @@ class Bdpt:
             stream=stream,
             active=dr.full(mi.Bool, True, lanes),
         )
+
+    def _past_emitters(self, walk: Walk) -> Walk:
+        """A walk whose first ray begins behind the emitters that it would meet first, as Mitsuba hides them."""
+
+        def passes(ray: mi.Ray3f, offset: mi.Float, more: mi.Bool) -> tuple[mi.Ray3f, mi.Float, mi.Bool]:
+            si = self.scene.ray_intersect(ray, more)
+            more = more & si.is_valid() & si.shape.is_emitter()
+            after = si.spawn_ray(ray.d)
+            origin = dr.select(more, after.o, ray.o)
+            offset = offset + dr.dot(origin - ray.o, ray.d)
+            return mi.Ray3f(origin, ray.d, ray.time, ray.wavelengths), offset, more
+
+        lanes = dr.width(walk.active)
+        state = (mi.Ray3f(walk.ray), walk.offset + dr.zeros(mi.Float, lanes), mi.Bool(walk.active))
+        ray, offset, _ = dr.while_loop(state, lambda *state: state[-1], passes, label="elps hidden emitters")
+        return replace(walk, ray=ray, offset=offset)
 
     def light_start(self, start: Start, stream: Stream) -> Walk:
         """A walk at an emitter, its first ray chosen."""

@@ -84,6 +84,7 @@ def paths_of(
         directions=_directions(Materials(scene), settings, strategies, parts),
         thinning=settings.bdpt.eye_paths if settings.integrator == "bdpt" else 1,
         region_lights=region_lights,
+        hides=settings.hide_emitters,
         worth=PixelWorth(known.pilot, known.noise, camera.size, pays=pays) if known else None,
     )
 

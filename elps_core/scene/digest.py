@@ -85,6 +85,8 @@ def _read_by_integrator(settings: RenderSettings) -> dict[str, Any]:
         fields |= {"rr_depth", "table_share"}
     elif "direction_sampling" in fields and settings.direction_sampling == "context":
         fields.add("table_share")
+    if settings.hide_emitters:
+        fields.add("hide_emitters")
     values = settings.model_dump(mode="json", include=fields)
     if settings.integrator == "pssmlt" and settings.direction_sampling == "context":
         values["bdpt"] = {"guided_light": settings.bdpt.guided_light}

@@ -212,6 +212,8 @@ def choose(settings: RenderSettings, statistics: Mapping[str, Any] | None) -> Ch
         # Paths of any length are found without joins, which keep what they join; with them where nothing else is fit.
         endless = settings.max_depth == UNLIMITED
         fit = [trial for trial in trials if not (endless and trial.candidate.light_paths == "joined")] or trials
+        if settings.hide_emitters:  # Light paths would show them
+            plain, fit = PATH, [trial for trial in fit if trial.candidate.light_paths == "none"]
         best = max(fit, key=lambda trial: trial.efficiency).candidate if fit else plain
         return Choice(best.settings(settings), best.name, trials, plain.name)
     title, kind = settings.integrator, _light_paths(settings)
