@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NoReturn
 
 from elps_core.errors import SceneRejected
@@ -43,11 +43,13 @@ class Rewrite:
         """Tell about an element; what is said of several alike is told once."""
         self._warned.setdefault((label(node), text), []).append(node)
 
-    def leave_out(self, owner: Node, child: Node) -> None:
-        """Take a parameter off its object, as one that today's Mitsuba does not know."""
-        owner.children = [other for other in owner.children if other is not child]
-        name = child.attributes.get("name") or f"<{child.tag}>"
-        self._left_out.setdefault((shown(name), label(owner)), []).append(owner)
+    def leave_out(self, owner: Node, children: Iterable[Node]) -> None:
+        """Take parameters off their object, as ones that today's Mitsuba does not know."""
+        out = {id(child): child for child in children}
+        owner.children = [child for child in owner.children if id(child) not in out] if out else owner.children
+        for child in out.values():
+            name = child.attributes.get("name") or f"<{child.tag}>"
+            self._left_out.setdefault((shown(name), label(owner)), []).append(owner)
 
     def target(self, node: Node) -> Node:
         """The element itself, or the one that a reference names (the reference, where that is unknown)."""

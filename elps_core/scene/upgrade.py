@@ -138,9 +138,8 @@ def _upgrade_object(node: Node, rewrite: Rewrite) -> None:
         refuse(node, "has gone from Mitsuba: put a medium inside the shape, or replace the material")
     if handler := _HANDLERS.get((node.tag, node.type)):
         handler(node, rewrite)
-    for child in list(node.children):
-        if child.attributes.get("name") in legacy.NO_EFFECT.get(node.tag, frozenset()):
-            rewrite.leave_out(node, child)
+    gone = legacy.NO_EFFECT.get(node.tag, frozenset())
+    rewrite.leave_out(node, [child for child in node.children if child.attributes.get("name") in gone])
 
 
 def _check_scaled(root: Node) -> None:
@@ -179,9 +178,8 @@ def _leave_out_unknown(node: Node, rewrite: Rewrite) -> None:
     elif node.tag in known.HARMLESS:
         if (node.tag, node.type) == ("texture", "bitmap"):
             _fit_bitmap(node, rewrite)
-        for child in list(node.children):
-            if child.attributes.get("name") in known.HARMLESS[node.tag]:
-                rewrite.leave_out(node, child)
+        names = known.HARMLESS[node.tag]
+        rewrite.leave_out(node, [child for child in node.children if child.attributes.get("name") in names])
 
 
 def _fit_recorder(node: Node, rewrite: Rewrite) -> None:
@@ -193,38 +191,34 @@ def _fit_recorder(node: Node, rewrite: Rewrite) -> None:
         old, node.attributes["type"] = node.type, known.SUBSTITUTES[node.tag]
         if old == "mfilm" and named(node, "pixel_format") is None:
             put(node, "string", "pixel_format", "luminance")  # Its own default
-        rewrite.warn(
-            node, f"stands for '{shown(old)}', which today's Mitsuba does not have" if old else "is Mitsuba's own"
-        )
-    for child in list(node.children):
-        name = child.attributes.get("name", "")
-        if child.is_object or child.tag == "ref":
-            if child.tag not in ("ref", "rfilter") and node.type != "specfilm":
-                rewrite.leave_out(node, child)
-        elif name not in plugins[node.type]:
-            rewrite.leave_out(node, child)
-        else:
-            _fit_choice(node, child, rewrite)
+        rewrite.warn(node, f"stands for '{shown(old)}', which today's Mitsuba does not have")
+    rewrite.leave_out(node, [child for child in node.children if not _is_taken(child, node, plugins[node.type])])
 
 
-def _fit_choice(node: Node, child: Node, rewrite: Rewrite) -> None:
-    choices = known.CHOICES.get((node.tag, child.attributes.get("name", "")))
-    if choices is not None:
-        value = camel_to_underscore(child.attributes.get("value", "").strip()).lower()
-        if value in choices:
-            child.attributes["value"] = value
-        else:
-            rewrite.leave_out(node, child)
+def _is_taken(child: Node, recorder: Node, names: frozenset[str]) -> bool:
+    """Whether Mitsuba takes a part of a film, sampler or filter whose parameters are ``names``."""
+    if child.is_object or child.tag == "ref":
+        return child.tag in ("ref", "rfilter") or recorder.type == "specfilm"
+    return child.attributes.get("name") in names and _is_choice(child, recorder)
+
+
+def _is_choice(child: Node, owner: Node) -> bool:
+    """Whether a text is one that Mitsuba takes there; it is put into today's spelling."""
+    choices = known.CHOICES.get((owner.tag, child.attributes.get("name", "")))
+    value = camel_to_underscore(child.attributes.get("value", "").strip()).lower()
+    if choices is not None and value in choices:
+        child.attributes["value"] = value
+    return choices is None or value in choices
 
 
 def _fit_bitmap(node: Node, rewrite: Rewrite) -> None:
     """Gamma, filter and edges of an image, in today's words."""
     filter_type, gamma = named(node, "filter_type"), named(node, "gamma")
-    if filter_type is not None:
-        _fit_choice(node, filter_type, rewrite)
+    if filter_type is not None and not _is_choice(filter_type, node):
+        rewrite.leave_out(node, [filter_type])
     if gamma is not None:
         if numbers(gamma.attributes.get("value", "")) != [1.0]:
-            rewrite.leave_out(node, gamma)
+            rewrite.leave_out(node, [gamma])
         else:
             take(node, "gamma")
             if named(node, "raw") is None and not text_of(node, "filename").endswith(LINEAR_FILES):

@@ -205,7 +205,7 @@ def _product(a: list[float], b: list[float]) -> list[float]:
 
 def shape(node: Node) -> None:
     """0.6 let light pass where a shape bounds a medium and has no material."""
-    media = [child for child in node.children if child.attributes.get("name") in ("interior", "exterior")]
-    others = [child for child in node.children if child.tag in ("bsdf", "ref") and child not in media]
-    if media and not others:
+    names = {child.attributes.get("name") for child in node.children}
+    media = names & {"interior", "exterior"}
+    if media and all(c.tag not in ("bsdf", "ref") or c.attributes.get("name") in media for c in node.children):
         node.children.append(element(node, "bsdf", {"type": "null"}))

@@ -71,11 +71,16 @@ def upgrade_value(node: Node, owner: Node | None, rewrite: Rewrite) -> None:
         _upgrade_blackbody(node)
     elif node.tag == "animation":
         _hold_still(node, owner, rewrite)
-    elif node.tag == "transform":
-        for part in [part for part in node.children if part.tag == "lookat" and "ox" in part.attributes]:
-            # Before 0.3: three numbers each, and left-handed.
-            node.children.insert(node.children.index(part), element(part, "scale", {"x": "-1"}))
-            _join_axes(part)
+    elif node.tag == "transform" and any("ox" in part.attributes for part in node.children):
+        node.children = [each for part in node.children for each in _right_handed(part)]
+
+
+def _right_handed(part: Node) -> list[Node]:
+    """A step of a transformation; of before 0.3, ``lookat`` had three numbers for each vector, and was left-handed."""
+    if part.tag != "lookat" or "ox" not in part.attributes:
+        return [part]
+    _join_axes(part)
+    return [element(part, "scale", {"x": "-1"}), part]
 
 
 def limit_reflectance(node: Node, rewrite: Rewrite) -> None:
