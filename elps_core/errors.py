@@ -19,6 +19,10 @@ class SceneRejected(ElpsError):
     """A scene upload or scene file that is malformed, hostile, too large or unsupported."""
 
 
+class NothingScatters(SceneRejected):
+    """A scene of mirrors, glass or emitters alone, of which no table can be made."""
+
+
 class SettingsRejected(ElpsError):
     """Settings that are valid in form but name something unknown, unbuilt or contradictory."""
 

@@ -19,7 +19,7 @@ from elps_core.context.saved import UNFIT
 from elps_core.context.store import DirectionalParts, GlobalContext
 from elps_core.context.tables import TableBuilder
 from elps_core.context.training import CompilesTooLong
-from elps_core.errors import ContextMismatch
+from elps_core.errors import ContextMismatch, NothingScatters
 from elps_core.sampling.start import StartDensity, power_table
 from elps_core.scene.digest import context_digest
 from elps_core.scene.emission import Emission
@@ -169,6 +169,11 @@ class ContextBuilder:
             try:
                 tables.step(self._lights(), left, self._patience)
             except CompilesTooLong:
+                self._cut = True
+                return
+            except NothingScatters:
+                if not self._may_do_without:
+                    raise
                 self._cut = True
                 return
             self._parts = None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from elps_core.context.saved import DENSITY_SIDE
-from elps_core.errors import SceneRejected
+from elps_core.errors import NothingScatters
 from elps_core.particles.bidirectional import BidirectionalSampler
 from elps_core.particles.caustics import CausticSampler
 from elps_core.particles.classical import ClassicalSampler
@@ -118,7 +118,7 @@ def places(
             density[kind] = _from_above(scene, position)
             chosen.append((position, normal))
     if not chosen:
-        raise SceneRejected("no path meets a surface that scatters: render without context")
+        raise NothingScatters("no path meets a surface that scatters: render without context")
     if caustic := [photons.arrays() for photons in aimed if len(photons)]:
         most = int(CAUSTIC_PART * sum(len(position) for position, _ in chosen))
         chosen.append(_some(caustic, most, rng, by_weight=False))

@@ -46,7 +46,7 @@ class Scattered:
     by_table: mi.Float | None = None  # Density of the table that takes part in the mixture, where one does
 
 
-Answer = TypeVar("Answer")
+Answer = TypeVar("Answer", Scattering, Scattered)
 
 
 class Materials:
@@ -76,7 +76,7 @@ class Materials:
         active = rest[-1] & (number != 0)
         place = dr.gather(mi.UInt32, self._places, number, active)
         answer: Answer = dr.switch(place, [partial(question, bsdf) for bsdf in self._carried], si, *rest[:-1], active)
-        return answer
+        return _sound(answer)
 
     def seen_by_eye(self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Scattering:
         """Smooth scattering at a vertex of an eye path."""
@@ -197,6 +197,21 @@ class Materials:
         if side == "light":
             event.weight = event.weight * (dr.abs(dr.dot(si.to_world(event.wo), si.n)) / _cos_in(si))
         return event
+
+
+def _sound(answer: Answer) -> Answer:
+    """An answer whose values and densities are numbers: Mitsuba's materials that reflect nothing divide 0 by 0."""
+    answer.pdf = _number(answer.pdf)
+    answer.pdf_rev = _number(answer.pdf_rev)
+    if isinstance(answer, Scattering):
+        answer.value = dr.select(dr.isfinite(dr.sum(answer.value)), answer.value, 0.0)
+    else:
+        answer.weight = dr.select(dr.isfinite(dr.sum(answer.weight)), answer.weight, 0.0)
+    return answer
+
+
+def _number(value: mi.Float) -> mi.Float:
+    return dr.select(dr.isfinite(value), value, 0.0)
 
 
 def _plain(bsdf: mi.BSDF) -> Hashable:

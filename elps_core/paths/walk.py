@@ -112,7 +112,8 @@ def random_walk(
         beta = vertex.beta * event.weight
         eta = walk.eta * event.eta
         scattered = active
-        active = active & ((event.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0))
+        # A material that reflects nothing may give 0 / 0, which is no light either.
+        active = active & ((event.pdf > 0.0) & (dr.max(beta) > 0.0) & (cos_out > 0.0) & dr.isfinite(dr.sum(beta)))
 
         survival = roulette.survival(beta, eta, event.albedo, vertex.depth)
         kept = dr.select(vertex.depth >= roulette.start, dr.minimum(dr.max(event.albedo), 1.0), 1.0)

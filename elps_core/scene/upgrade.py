@@ -197,8 +197,10 @@ def _fit_recorder(node: Node, rewrite: Rewrite) -> None:
 
 def _is_taken(child: Node, recorder: Node, names: frozenset[str]) -> bool:
     """Whether Mitsuba takes a part of a film, sampler or filter whose parameters are ``names``."""
+    if recorder.type == "specfilm" and child.tag in ("spectrum", "texture"):  # A band, under a name of its own
+        return True
     if child.is_object or child.tag == "ref":
-        return child.tag in ("ref", "rfilter") or recorder.type == "specfilm"
+        return child.tag in ("ref", "rfilter")
     return child.attributes.get("name") in names and _is_choice(child, recorder)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from elps_core.renderer import Renderer
+from elps_core import device
 from elps_core.scene.loader import load_scene
 from elps_core.settings import RenderSettings, with_overrides
 from tests.agreement import compare
@@ -25,6 +25,9 @@ SCENE = """<scene version="3.0.0"><sensor type="perspective"><float name="fov" v
 
 
 def images(folder: Path, integrator: str, **overrides: object) -> np.ndarray:
+    device.use("llvm_ad_rgb")
+    from elps_core.renderer import Renderer
+
     (folder / "scene.xml").write_text(SCENE)
     plain = {"light_sampling": "uniform"} if integrator == "path" else {}
     settings = RenderSettings(integrator=integrator, hide_emitters=True, max_depth=4, **plain)

@@ -157,7 +157,7 @@ OURS = {*ALWAYS, "direction_sampling", "roulette", "rr_depth", "max_depth", "lig
     ],
 )
 def test_what_an_integrator_does_not_read_does_not_enter(base: dict[str, Any], entering: set[str]) -> None:
-    assert set(ASKED) | {"integrator", "width", "height", "preset"} == set(RenderSettings.model_fields)
+    assert set(ASKED) | {"integrator", "width", "height", "preset", "hide_emitters"} == set(RenderSettings.model_fields)
     digests = {}
     for name, other in ASKED.items():
         if base["integrator"] == "auto" and name in (
@@ -213,3 +213,10 @@ def test_a_scene_digest_does_not_change_by_accident(tmp_path: Path) -> None:
 def test_digests_need_no_mitsuba() -> None:
     code = "import sys, elps_core.scene.digest; sys.exit('mitsuba' in sys.modules or 'drjit' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0
+
+
+@pytest.mark.parametrize("integrator", ["auto", "path", "mi_path"])
+def test_hidden_emitters_enter_and_shown_ones_do_not(integrator: str) -> None:
+    shown, hidden = (RenderSettings(integrator=integrator, hide_emitters=hides) for hides in (False, True))
+    assert render_digest(SCENE, shown, (4, 3)) == render_digest(SCENE, RenderSettings(integrator=integrator), (4, 3))
+    assert render_digest(SCENE, hidden, (4, 3)) != render_digest(SCENE, shown, (4, 3))
