@@ -90,7 +90,8 @@ def prepares_later(job: Job, prepared: float, now: float) -> bool:
     ``prepared``: seconds that the context has taken so far.
     """
     free = job.settings.integrator == "auto" and job.stop.seconds is None
-    return free and prepared > PREPARATION * (now - (job.started or now))
+    begun = now if job.started is None else job.started
+    return free and prepared > PREPARATION * (now - begun)
 
 
 def _meantime(

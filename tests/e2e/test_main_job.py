@@ -263,16 +263,22 @@ def test_everything_ends_with_a_killed_service(tmp_path: Path, room: Path) -> No
 
 
 def test_trials_choose_what_renders_and_serve_the_next_job(http: httpx.Client, client: Client, scene: str) -> None:
-    """Nobody names an integrator; the tables and the trials of one job are those of the next."""
+    """Nobody names an integrator; the tables and the trials of one job are those of the next.
+
+    The jobs have time for their context, and are ended once trials have chosen.
+    """
     context = {"resolution": 8, "samples_per_cell": 16, "regions": 16, "rows": 8, "columns": 16, "paths": 1 << 15}
     jobs = []
     for seed in (4, 5):
         settings = {"max_depth": 4, "seed": seed, "context": context}
-        body = {"scene": scene, "settings": settings, "stop": {"samples": 8}}
+        body = {"scene": scene, "settings": settings, "stop": {"seconds": 300.0}}
         id_ = http.post("/v1/jobs", json=body).json()["id"]
-        assert "completed" in [event.data.get("state") for event in client.follow(id_)]
+        for event in client.follow(id_):
+            if event.type == "image" and http.get(f"/v1/jobs/{id_}").json()["choice"]:
+                client.cancel(id_)
         jobs.append(http.get(f"/v1/jobs/{id_}").json())
     first, second = jobs
+    assert first["seconds_loading"] > 0.0 < first["seconds_compiling"]
     assert first["settings"]["integrator"] == "auto"
     compared = {entry["name"] for entry in first["choice"]["trials"]}
     assert {"path, plain"} <= compared <= set(CANDIDATES)

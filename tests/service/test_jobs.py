@@ -202,11 +202,12 @@ def test_service(client: httpx.Client) -> None:
 def test_what_the_job_leaves_open_the_scene_file_says(client: httpx.Client) -> None:
     """Depth and samples come from the file, parameters from the job; what the job says itself wins."""
     said = (
-        '<default name="k" value="5"/><integrator type="path"><integer name="max_depth" value="$k"/></integrator>'
         '<default name="r" value="0.5"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
     )
     sampler = '<sampler type="independent"><integer name="sample_count" value="24"/></sampler>'
     xml = with_shape(said).replace('<sampler type="independent"/>', sampler)
+    depth = '<default name="k" value="5"/><integrator type="path"><integer name="max_depth" value="$k"/></integrator>'
+    xml = xml.replace('<integrator type="path"/>', depth)
     record = client.post("/v1/scenes", content=xml, headers={"Content-Type": "application/xml"}).json()
     assert record["summary"]["parameters"] == [{"name": "k", "value": "5"}, {"name": "r", "value": "0.5"}]
     body = {"scene": record["digest"], "settings": SETTINGS}
