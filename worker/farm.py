@@ -26,7 +26,7 @@ from elps_core.io.result import ERROR_PART, IMAGE_PART
 from elps_core.scene import reach
 from elps_core.scene.bundle import is_archive
 from elps_core.scene.digest import context_digest, render_digest
-from elps_core.scene.inspect import inspect_in_child
+from elps_core.scene.inspect import SceneReport, inspect_in_child
 from elps_core.scene.summary import SceneSummary
 from elps_core.settings import (
     LONGEST,
@@ -104,7 +104,12 @@ class Farm:
         Raises:
             SceneRejected: what is wrong, in one line; nothing is left behind.
         """
-        report = inspect_in_child(upload, defines=defines)
+        return self._keep(upload, name, defines, inspect_in_child(upload, defines=defines))
+
+    def _keep(
+        self, upload: Path, name: str, defines: Mapping[str, str] | None, report: SceneReport
+    ) -> tuple[SceneRecord, bool]:
+        """Store a scene that was checked, unless it is there; (record, created)."""
         present = self.scene(report.digest)
         if present is not None:
             return present, False
@@ -122,13 +127,19 @@ class Farm:
         data = self._json("scenes", digest)
         return None if data is None else SceneRecord.model_validate_json(data)
 
-    def _defined(self, record: SceneRecord, defines: Mapping[str, str]) -> SceneRecord:
-        """A stored scene with other values of its parameters."""
+    def _defined(self, record: SceneRecord, defines: Mapping[str, str]) -> SceneReport:
+        """What the check of a stored scene says of it with other values of its parameters; that scene is stored, too.
+
+        Its digest is the same where they change nothing but what the file says of its render.
+        """
+        values = {**record.defines, **defines}
         with tempfile.TemporaryDirectory() as folder:
             for suffix in (".zip", ".xml"):
                 upload = self._parts.store.fetch(f"scenes/{key_name(record.digest)}{suffix}", Path(folder))
                 if upload is not None:
-                    return self.add_scene(upload, record.name, {**record.defines, **defines})[0]
+                    report = inspect_in_child(upload, defines=values)
+                    self._keep(upload, record.name, values, report)
+                    return report
         raise SceneRejected("the scene is no longer in the store: upload it again")
 
     # Jobs
@@ -156,10 +167,10 @@ class Farm:
         record = self.scene(scene)
         if record is None:
             raise SceneRejected("no such scene: upload it first")
-        if defines:
-            record = self._defined(record, defines)
-            scene = record.digest
         summary = SceneSummary.model_validate(record.summary)
+        if defines:
+            report = self._defined(record, defines)
+            scene, summary = report.digest, report.summary
         stop = stop_or_default(stop, summary.defaults.samples)
         settings = suited(with_file_defaults(settings, summary.defaults.settings()), stop)
         size = self._checked_size(summary, settings)

@@ -201,9 +201,7 @@ def test_service(client: httpx.Client) -> None:
 
 def test_what_the_job_leaves_open_the_scene_file_says(client: httpx.Client) -> None:
     """Depth and samples come from the file, parameters from the job; what the job says itself wins."""
-    said = (
-        '<default name="r" value="0.5"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
-    )
+    said = '<default name="r" value="0.5"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
     sampler = '<sampler type="independent"><integer name="sample_count" value="24"/></sampler>'
     xml = with_shape(said).replace('<sampler type="independent"/>', sampler)
     depth = '<default name="k" value="5"/><integrator type="path"><integer name="max_depth" value="$k"/></integrator>'
