@@ -76,7 +76,7 @@ def test_the_light_behind_the_wall_gets_its_small_share(two_lights: Any) -> None
     assert 0.0 < shares[1 - near] < 0.2
 
 
-@pytest.mark.parametrize("kind", ["random", "spiked", "empty", "measured"])
+@pytest.mark.parametrize("kind", ["random", "spiked", "empty"])
 def test_no_table_moves_the_mean(
     two_lights: Any, render_bdpt: Callable[..., Array], render_path: Callable[..., Array], kind: str
 ) -> None:

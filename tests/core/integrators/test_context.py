@@ -35,7 +35,6 @@ SCENES: list[tuple[str, str, adversaries.Kind, float]] = [
     ("mixed", "light", "random", 16.0),
     ("mask", "bdpt", "random", 1.3),
     ("roughdielectric", "path", "spiked", 30.0),
-    ("roughdielectric", "bdpt", "random", 14.0),
 ]
 """Scene, algorithm, kind of context, and samples as a multiple of the usual ones."""
 

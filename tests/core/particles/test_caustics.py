@@ -88,8 +88,9 @@ def by_eye(mi: Any, scene: Any, count: int, seed: int) -> Array:
     return cells_of(np.array(start).T, np.array(value, np.float64))
 
 
-@pytest.mark.parametrize("light", ["area", "constant"])
-@pytest.mark.parametrize("shapes", [("ball",), ("mirror", "rough"), ("ball", "mirror")])
+@pytest.mark.parametrize(
+    ("light", "shapes"), [("area", ("ball",)), ("constant", ("mirror", "rough")), ("constant", ("ball", "mirror"))]
+)
 def test_weights_are_those_that_eye_paths_find(mi: Any, light: str, shapes: tuple[str, ...]) -> None:
     scene = room(mi, light, shapes)
     aimed = sampler(mi, scene)
