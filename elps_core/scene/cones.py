@@ -13,7 +13,7 @@ from elps_core.scene.emitters import POINTS, SURFACES, Light, Matrix
 SHARE = 0.5
 """Chance that a light path from a surface far away is aimed at the scene; else it goes wherever the lamp shines."""
 NARROW = 0.01
-"""1 - cos of the half angle, 8 degrees, of the cone around the scene below which paths from a surface are aimed."""
+"""1 - cos of the half angle, 8 degrees, of the cone around the scene below which a lamp is far away: 7 radii."""
 NARROWEST = 1e-12
 """Least 1 - cos of the half angle, a millionth of a radian: single precision tells two dozen directions across it."""
 MARGIN = 1.01
@@ -23,8 +23,8 @@ MARGIN = 1.01
 class Cones:
     """Directions of light paths, uniform in cones.
 
-    From an emitter without extent a cone holds all light that it sends, or the whole scene, whichever is the narrower.
-    From the surface of a lamp far away it holds the shapes that are no lamps.
+    From an emitter without extent a cone holds all light that it sends; if it is far away the whole scene, where that
+    is narrower. From the surface of a lamp far away it holds the shapes that are no lamps.
 
     Args:
         lights: all emitters of a scene.
@@ -102,7 +102,7 @@ def _of_point(light: Light, centre: Matrix, radius: float) -> tuple[float, float
     if light.kind in POINTS:
         away = centre - light.position
         around = _height(float(np.linalg.norm(away)), radius)
-        if around < height:
+        if around < min(height, NARROW):
             axis, height = away / np.linalg.norm(away), around
     x, y, z = map(float, axis)
     return x, y, z, float(height)

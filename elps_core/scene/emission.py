@@ -118,7 +118,7 @@ class Emission:
             self.keys[lights.index(surround[0]), -1] = self._environment.mean
         self.power: NDArray[np.float64] = self._measure_power()
         """Emitted flux of each emitter in units of luminance, [count]; of those at infinity, that
-        through the disk across the scene."""
+        through the disk across the scene, and of those far away without extent, into the cone around it."""
 
     # -- F ---------------------------------------------------------------------------------------
 

@@ -141,7 +141,7 @@ def test_power_follows_radiance_and_area(mi: Any) -> None:
             "to_world": place().translate([5, 0, 0]) @ place().scale(2),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 3.0}},
         },
-        "c": {"type": "point", "position": [0, 1, 0], "intensity": {"type": "rgb", "value": 1.0}},
+        "c": {"type": "point", "position": [0, 9, 0], "intensity": {"type": "rgb", "value": 1.0}},
     }
     power = sorted(Emission(mi.load_dict(lights)).power)
     assert power == pytest.approx(sorted([4 * np.pi, 4 * np.pi, 16 * 3 * np.pi]), rel=1e-3)
