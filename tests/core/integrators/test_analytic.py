@@ -88,7 +88,7 @@ OTHERS = [
         for depth in (1, 2, 3, 8)
     ],
     # A chain's kernels take longest to build.
-    *[("pssmlt", "area", 1), ("pssmlt", "area", 3), ("pssmlt", "point", 2), ("pssmlt", "point", 8)],
+    *[("pssmlt", "area", 1), ("pssmlt", "point", 8)],
 ]
 
 

@@ -94,7 +94,6 @@ ROULETTE: list[tuple[str, adversaries.Kind, dict[str, Any]]] = [
     ("path", "random", LEARNED | {"direction_sampling": "scattering"}),
     ("bdpt", "random", LEARNED | UNJOINED),
     ("light", "spiked", EVERYWHERE),
-    ("bdpt", "random", EVERYWHERE),
 ]
 """Eye paths that are not joined are paid where they end; what others have expected to find is lost."""
 
