@@ -13,7 +13,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from elps_core.errors import SceneRejected
-from elps_core.scene import markup
+from elps_core.scene import lexical, markup
 from elps_core.scene.bundle import DEFAULT_LIMITS, BundleLimits, open_regular
 from elps_core.scene.files import Files
 from elps_core.scene.markup import Node
@@ -223,7 +223,7 @@ class _Reader:
         self.name = name
         self.root: Node | None = None
         self.open: list[Node] = []
-        self.parser = expat.ParserCreate()
+        self.parser = expat.ParserCreate("utf-8")
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = self._end
         self.parser.StartDoctypeDeclHandler = self._refuse_doctype
@@ -231,12 +231,10 @@ class _Reader:
 
     def read(self, content: bytes, label: str) -> Node:
         try:
-            self.parser.Parse(content, True)
+            self.parser.Parse(lexical.plain(content), True)
         except expat.ExpatError as error:
             reason = expat.errors.messages.get(error.code, "syntax error")
             raise SceneRejected(f"{label} is not well-formed XML: {reason} (line {error.lineno})") from None
-        except (ValueError, LookupError):  # an encoding that Python does not know
-            raise SceneRejected(f"{label} names an unknown text encoding: save it as UTF-8") from None
         if self.root is None:
             raise SceneRejected(f"{label} is empty")
         return self.root
