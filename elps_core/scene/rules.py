@@ -27,7 +27,8 @@ MAX_PATHS = 2_000_000
 MAX_REFERENCE_DEPTH = 64
 MAX_FLOAT = 3.4028234e38
 """Largest number in single precision; beyond it a finite text becomes an infinite value."""
-MAX_ID_CHARACTERS = 200
+MAX_LABEL_CHARACTERS = 200
+"""Of an object's id or name."""
 
 DEFAULT_FILM_SIZE = (768, 576)
 """Mitsuba's own, where a film does not say."""
@@ -107,17 +108,24 @@ def _check_object(node: Node) -> None:
     if node.tag != "scene" and node.type not in plugins.PLUGINS[node.tag]:
         raise SceneRejected(f"{node}: the plugin is not one that a scene may use as <{node.tag}>")
     identifier = node.attributes.get("id")
-    if identifier is not None and not (0 < len(identifier) <= MAX_ID_CHARACTERS and is_plain(identifier)):
+    if identifier is not None and not _is_label(identifier):
         raise SceneRejected(f"{node} has an id that is empty, too long or not printable")
     if node.tag == "film" and sum(child.is_object for child in node.children) > MAX_FILM_PARTS:
         raise SceneRejected(f"{node} has more than {MAX_FILM_PARTS} parts")
+
+
+def _is_label(text: str) -> bool:
+    """Whether an object may be called so."""
+    return 0 < len(text) <= MAX_LABEL_CHARACTERS and is_plain(text)
 
 
 def _check_name(node: Node, taken: set[str]) -> None:
     name = node.attributes.get("name")
     if name is None and not (node.is_object or node.tag == "ref"):
         raise SceneRejected(f"{node} needs a name")
-    if name is not None and not _NAME.fullmatch(name):
+    # Exporters give objects the names that users gave them, in any language; those of parameters are Mitsuba's.
+    named = node.is_object or node.tag == "ref"
+    if name is not None and not (_is_label(name) if named else _NAME.fullmatch(name)):
         raise SceneRejected(f"{node} has a name that no parameter has: '{shown(name)}'")
     if name in taken:
         raise SceneRejected(f"{node} gives the parameter '{shown(name)}' a second time")
