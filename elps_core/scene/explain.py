@@ -22,6 +22,7 @@ _SENTENCES = {
     "Scale factors in the camera-to-world transformation are not allowed": "a camera's 'to_world' may not scale",
     "reference to invalid vertex": "a face of its file names a vertex that the file does not have",
     "invalid vertex position data": "its file has vertices that are not finite numbers",
+    "invalid vertex normal data": "its normals have no direction: scale no axis by 0 in its 'to_world'",
     "invalid file format": "its file is of another kind, or damaged",
     "has the wrong type": "a parameter is of another type than it takes",
 }

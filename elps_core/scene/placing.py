@@ -203,11 +203,17 @@ def _parts(node: Any) -> list[tuple[str, int]]:
 
 
 def _to_world(props: mi.Properties) -> Matrix:
-    return np.array(props["to_world"].matrix, np.float64) if "to_world" in props else np.eye(4)
+    return np.array(props["to_world"].matrix, np.float64) if _is_put(props) else np.eye(4)
 
 
 def _set_to_world(props: mi.Properties, matrix: Matrix) -> None:
-    props["to_world"] = mi.ScalarAffineTransform4d(matrix)
+    if _is_put(props) or "to_world" not in props:
+        props["to_world"] = mi.ScalarAffineTransform4d(matrix)
+
+
+def _is_put(props: mi.Properties) -> bool:
+    """Whether there is a transformation of that name; anything else is left as it is, for Mitsuba to refuse."""
+    return "to_world" in props and props.type("to_world") == mi.Properties.Type.Transform
 
 
 def _moved(matrix: Matrix, placement: Placement) -> Matrix:

@@ -15,6 +15,10 @@ def material(content: str, kind: str = "diffuse") -> str:
     return f'<shape type="rectangle"><bsdf type="{kind}">{content}</bsdf></shape>'
 
 
+def placed(name: str, place: str) -> str:
+    return mesh("obj", name).replace("</shape>", f"{place}</shape>")
+
+
 @pytest.mark.parametrize(
     ("body", "words"),
     [
@@ -28,10 +32,14 @@ def material(content: str, kind: str = "diffuse") -> str:
         (material('<bsdf type="dielectric"/>', "twosided"), ["twosided", "light passes"]),
         ('<emitter type="envmap"/>', ["envmap", "needs the parameter 'filename'"]),
         (mesh("obj", "bad.obj"), ["obj", "names a vertex"]),
+        (placed("flat.obj", '<transform name="to_world"><scale x="1" y="1" z="0"/></transform>'), ["'to_world'"]),
+        (placed("a.obj", '<string name="to_world" value="up"/>'), ["'to_world'", "transform, not string"]),
+        (placed("a.obj", '<vector name="to_world" value="99999"/>'), ["'to_world'", "transform, not vector"]),
         (mesh("obj", "a.obj").replace("</shape>", '<float name="x" value="1"/></shape>'), ["'x'"]),
     ],
 )  # fmt: skip
 def test_what_is_at_fault_is_named(body: str, words: list[str], tmp_path: Path, reject: Reject) -> None:
     files = {"a.png": png(), "b.png": png()[:40], "a.obj": OBJ, "bad.obj": OBJ.replace(b"1 2 3", b"1 2 300")}
+    files["flat.obj"] = OBJ.replace(b"f 1 2 3", b"vn 0 0 1\nf 1//1 2//1 3//1")
     message = reject(load, tmp_path, scene_xml(body), files)
     assert all(word in message for word in words), message
