@@ -81,6 +81,7 @@ def header(file: BinaryIO) -> Header:
         raise BadFileError("is not a PLY file, or its header does not end")
     elements: list[Element] = []
     order: str | None = None
+    noted = False  # Mitsuba takes comments and no notes.
     for line in head[: end.start()].decode("latin-1").splitlines():
         match line.split():
             case ["format", name, "1.0"] if name in _ORDER and order is None:
@@ -93,7 +94,9 @@ def header(file: BinaryIO) -> Header:
                 elements[-1].fields.append((name, PLY_TYPES[kind], PLY_TYPES[length]))
             case ["property", kind, name] if elements and kind in PLY_TYPES:
                 elements[-1].fields.append((name, PLY_TYPES[kind], ""))
-            case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
+            case ["obj_info", *_]:
+                noted = True
+            case ["ply"] | ["comment", *_] | []:
                 pass
             case _:
                 raise BadFileError("has a PLY header with a line that is not supported")
@@ -107,7 +110,7 @@ def header(file: BinaryIO) -> Header:
             raise BadFileError("has a PLY header that declares a property twice")
         if element.count and not names:
             raise BadFileError("has a PLY header with an element without properties")
-    plain = blank == 0 and b"\r\n" not in head[: end.end()] and all(map(_plain, elements))
+    plain = blank == 0 and not noted and b"\r\n" not in head[: end.end()] and all(map(_plain, elements))
     return Header(elements, order, end.end(), plain)
 
 
