@@ -45,6 +45,7 @@ _MEDIUM = (
     "the scene has participating media, which path, light, bdpt, pssmlt and mi_path leave out: "
     "choose mi_volpath to see them"
 )
+_NO_CAMERA = "the scene has no <sensor>: a camera stands in front of it, looks along z and sees all of it"
 _NO_SURFACE = ("instance", "shapegroup")
 """Shapes whose surfaces are those of others."""
 _TOO_LARGE = "the scene needs more memory than there is: make its meshes and images smaller"
@@ -73,6 +74,8 @@ class CanonicalScene:
     """What the file says of its render."""
     integrators: tuple[Node, ...]
     """Those of the scene file, which say it."""
+    framed: bool
+    """Whether the file has no camera, and one is to be put where it sees all shapes."""
     warnings: tuple[str, ...]
 
 
@@ -193,6 +196,12 @@ def canonicalize(
     rules.check(scene)
     objects = scene.objects()
     defaults, warnings = advice.take(integrators, [node for node in objects if node.tag == "sampler"])
+    sensors = _sensors(objects)
+    framed = not sensors
+    if framed:
+        sensors = [Node("sensor", {"type": "perspective"}, scene.line)]
+        scene.children += sensors
+        warnings.append(_NO_CAMERA)
     absolute: dict[int, str] = {}
     hashed: dict[int, str] = {}
     checked: dict[tuple[str, str], _File] = {}
@@ -211,7 +220,6 @@ def canonicalize(
             hashed[id(node)] = f"sha256:{file.content}{path.suffix.lower()}"
     digest = scene_digest(markup.write(scene, hashed)[0])
     surroundings = surroundings_digest(markup.write(_without_sensors(scene), hashed)[0])
-    sensors = _sensors(objects)
     if sensor not in range(len(sensors)):
         raise SceneRejected(f"the scene has {len(sensors)} sensors, counted from 0: there is no sensor {sensor}")
     if size is not None:
@@ -229,6 +237,7 @@ def canonicalize(
         document.parameters,
         defaults,
         tuple(integrators),
+        framed,
         (*document.warnings, *files.warnings, *warnings),
     )
 
@@ -290,12 +299,10 @@ def _sensors(objects: list[Node]) -> list[Node]:
     """Cameras that can render, in order; those inside a batch belong to it.
 
     Raises:
-        SceneRejected: there is none, or a film is too large.
+        SceneRejected: a film is too large.
     """
     inside = {id(part) for node in objects if node.tag == "sensor" for part in node.objects()[1:]}
     sensors = [node for node in objects if node.tag == "sensor" and id(node) not in inside]
-    if not sensors:
-        raise SceneRejected("the scene has no <sensor>: add a camera")
     for film in objects:
         if film.tag == "film":
             rules.film_size(film)
@@ -361,6 +368,8 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
             placing.place_made(merging.shapes_of(parts), placed)
         parts = merging.merge(parts, names)
         scene = merging.make_scene(parts)
+        if canonical.framed:
+            placement.frame(scene)
         placement.approach(scene)
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
         if isinstance(error, MemoryError) or "bad_alloc" in str(error):
