@@ -193,6 +193,7 @@ def canonicalize(
     scene = document.root
     integrators = [child for child in scene.children if child.tag == "integrator"]
     scene.children = [child for child in scene.children if child.tag != "integrator"]
+    _flatten(scene)
     rules.check(scene)
     objects = scene.objects()
     defaults, warnings = advice.take(integrators, [node for node in objects if node.tag == "sampler"])
@@ -240,6 +241,19 @@ def canonicalize(
         framed,
         (*document.warnings, *files.warnings, *warnings),
     )
+
+
+def _flatten(node: Node) -> None:
+    """Put the shapes of each ``merge`` in its place: meshes of one material become one in any case."""
+    whole: list[Node] = []
+    for child in node.children:
+        _flatten(child)
+        merges = child.tag == "shape" and child.type == "merge"
+        if merges and all(part.tag == "shape" and "name" not in part.attributes for part in child.children):
+            whole += child.children
+        else:
+            whole.append(child)
+    node.children = whole
 
 
 def _without_sensors(root: Node) -> Node:
@@ -337,7 +351,7 @@ class _Made:
 
 
 def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
-    from elps_core.scene import merging, placement, placing  # here: they need the variant that is set by now
+    from elps_core.scene import groups, merging, placement, placing  # here: they need the variant that is set by now
 
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
@@ -356,7 +370,7 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
             placing.place(state, measuring)
         names, maps = merging.candidates(state), placing.file_maps(state)
         parts = merging.make_parts(config, state)
-        triangles = measure.triangles(merging.shapes_of(parts))
+        triangles = measure.triangles(groups.with_parts(merging.shapes_of(parts)))
         placed = placement.measured(merging.shapes_of(parts), measuring)
         coarse = placement.coarse_meshes(parts, maps)
         if not placed.puts_as(measuring):

@@ -163,7 +163,7 @@ def frame(scene: mi.Scene) -> None:
         return
     parameters = mi.traverse(scene.sensors()[0])
     extent = float((corners[1] - corners[0]).max())
-    distance = extent / (2.0 * np.tan(np.radians(FRAME_ANGLE) / 2.0))
+    distance = float(extent / (2.0 * np.tan(np.radians(FRAME_ANGLE) / 2.0)))
     x, y, _ = corners.mean(axis=0)
     place = mi.ScalarAffineTransform4d().translate([x, y, corners[0, 2] - distance])
     parameters["x_fov"] = FRAME_ANGLE
