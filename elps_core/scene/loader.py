@@ -295,7 +295,7 @@ def _check_file(kind: str, path: Path, owner: Node, files: Files, scratch: Path 
         content = file_hash(file)
         given, opened = path, file
         try:
-            mended = headers.mended(kind, file)
+            mended = headers.mended(kind, file, str(path))
             if mended is not None:
                 data, told = mended
                 folder = scratch or Path(until_checked.enter_context(tempfile.TemporaryDirectory()))
