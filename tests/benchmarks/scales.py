@@ -14,8 +14,6 @@ from typing import Annotated, Any
 
 import typer
 
-from elps_core import device
-from elps_core.renderer import Renderer
 from elps_core.scene.loader import load_scene
 from elps_core.settings import RenderSettings, with_overrides
 from tests.agreement import Agreement, compare
@@ -25,6 +23,7 @@ from tests.zoo.rooms import room
 
 REPORT = Path("docs/scales.md")
 ALGORITHMS = ("mi_path", "path", "light", "bdpt", "pssmlt")
+VARIANT = "llvm_ad_rgb"
 MAX_DEPTH = 4
 CASES: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "as it is": ({}, {}),
@@ -44,7 +43,9 @@ def draw(parameters: Mapping[str, Any], algorithm: str, seed: int) -> Sampler:
     with tempfile.TemporaryDirectory(prefix="elps-room-") as folder:
         path = Path(folder) / "scene.xml"
         path.write_text(room(**parameters))
-        loaded = load_scene(path, device.resolve("auto"))
+        loaded = load_scene(path, VARIANT)
+    from elps_core.renderer import Renderer  # here: it needs the variant that is set by now
+
     chosen = {"integrator": algorithm, "max_depth": MAX_DEPTH, "roulette": "none", "seed": seed}
     if not algorithm.startswith("mi_"):
         chosen["light_sampling"] = "power"
