@@ -1,4 +1,4 @@
-"""Look at a mesh, image or volume file before Mitsuba allocates what its header declares.
+"""Look at a mesh, image, volume or material file before Mitsuba allocates what its header declares.
 
 Imports no Mitsuba. Every check returns the bytes of memory that the file will take at most, so that
 a scene's files can be summed up against one limit.
@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 import OpenImageIO
 
-from elps_core.scene import meshes, objfile, plyfile
+from elps_core.scene import meshes, objfile, packing, plyfile, tensorfile
 from elps_core.scene.meshes import BadFileError, file_size
 
 MAX_IMAGE_SIDE = 16384
@@ -40,36 +40,41 @@ _IMAGE_MAGIC = (
 """First bytes -> OpenImageIO's name of the format, for the formats that Mitsuba reads."""
 
 
-def check(kind: str, file: BinaryIO, path: str) -> int:
+def check(kind: str, file: BinaryIO, path: str, part: int = 0) -> int:
     """Check one file of a scene; return the bytes of memory that reading it takes at most.
 
     Args:
         kind: how the file is read, a value of :data:`elps_core.scene.plugins.FILE_READERS`.
         file: the open file, at its beginning.
         path: where it lies; images are opened by name.
+        part: which of its meshes is asked for, where a file of that kind has several.
 
     Raises:
         BadFileError: the header is damaged, declares more than the file holds, or more than is allowed.
     """
-    return _CHECKS[kind](file, path)
+    return _CHECKS[kind](file, path, part)
 
 
 def mended(kind: str, file: BinaryIO) -> tuple[bytes, list[str]] | None:
     """A file that Mitsuba would refuse or misread, as it reads it right, and what was done; None for all others.
 
     Raises:
-        BadFileError: it is damaged.
+        BadFileError: it is damaged, or packed as a whole.
     """
+    file.seek(0)
+    packed = packing.advice(file.read(packing.MAGIC_BYTES))
+    if packed:
+        raise BadFileError(packed)
     file.seek(0)
     mend = _MENDS.get(kind)
     return mend(file) if mend else None
 
 
-def _text(file: BinaryIO, _: str) -> int:
+def _text(file: BinaryIO, *_: object) -> int:
     return _OBJ_GROWTH * file_size(file)
 
 
-def _obj(file: BinaryIO, _: str) -> int:
+def _obj(file: BinaryIO, *_: object) -> int:
     """Mitsuba's reader takes decimal numbers and positive indices; anything else it may misread."""
     start = file.read(MAX_HEADER_BYTES)
     if b"\0" in start:
@@ -83,7 +88,7 @@ _VOLUME_HEADER = struct.Struct("<3sB5i6f")
 """Signature, version, value type, size in x, y, z, channels, bounding box."""
 
 
-def _volume(file: BinaryIO, _: str) -> int:
+def _volume(file: BinaryIO, *_: object) -> int:
     head = file.read(_VOLUME_HEADER.size)
     if len(head) < _VOLUME_HEADER.size:
         raise BadFileError("is not a volume file")
@@ -95,7 +100,7 @@ def _volume(file: BinaryIO, _: str) -> int:
     return 3 * file_size(file)
 
 
-def _image(file: BinaryIO, path: str) -> int:
+def _image(file: BinaryIO, path: str, *_: object) -> int:
     start = file.read(16)
     expected = next((name for magic, name in _IMAGE_MAGIC if start.startswith(magic)), None)
     if expected is None and path.lower().endswith(".tga"):
@@ -125,13 +130,14 @@ def _image(file: BinaryIO, path: str) -> int:
         image.close()
 
 
-_CHECKS: dict[str, Callable[[BinaryIO, str], int]] = {
+_CHECKS: dict[str, Callable[[BinaryIO, str, int], int]] = {
     "text": _text,
     "obj": _obj,
     "ply": plyfile.memory,
     "serialized": meshes.serialized,
     "volume": _volume,
     "image": _image,
+    "measured": tensorfile.measured,
 }
 _MENDS: dict[str, Callable[[BinaryIO], tuple[bytes, list[str]] | None]] = {
     "obj": objfile.mended,

@@ -195,14 +195,16 @@ def canonicalize(
     defaults, warnings = advice.take(integrators, [node for node in objects if node.tag == "sampler"])
     absolute: dict[int, str] = {}
     hashed: dict[int, str] = {}
-    checked: dict[tuple[str, str], _File] = {}
+    checked: dict[tuple[str, str, int], _File] = {}
+    contents: dict[Path, str] = {}
     memory = 0
     for owner in objects:
         for node, kind in file_names(owner):
             path = files.find(node.attributes.get("filename") or node.attributes.get("value", ""), str(owner))
-            if (kind, str(path)) not in checked:
-                checked[kind, str(path)] = _check_file(kind, path, owner, files, scratch)
-            file = checked[kind, str(path)]
+            key = kind, str(path), rules.part_of(owner)
+            if key not in checked:
+                checked[key] = _check_file(key, owner, files, scratch, contents)
+            file = checked[key]
             memory += file.memory
             if memory > MAX_SCENE_BYTES:
                 raise SceneRejected(f"{owner}: with this file the scene needs more than {MAX_SCENE_BYTES >> 30} GiB")
@@ -266,10 +268,21 @@ class _File(NamedTuple):
     """What Mitsuba is given: the file itself, or one that it reads right."""
 
 
-def _check_file(kind: str, path: Path, owner: Node, files: Files, scratch: Path | None) -> _File:
-    """Check a file; where Mitsuba would refuse or misread it, write it anew into ``scratch``."""
+def _check_file(
+    key: tuple[str, str, int], owner: Node, files: Files, scratch: Path | None, contents: dict[Path, str]
+) -> _File:
+    """Check a file; where Mitsuba would refuse or misread it, write it anew into ``scratch``.
+
+    Args:
+        key: how it is read, where it lies, which of its parts is asked for.
+        owner: the element that names it.
+        files: where it was found.
+        scratch: as in :func:`canonicalize`.
+        contents: hashes of the files of this scene, taken once each.
+    """
+    kind, path, part = key[0], Path(key[1]), key[2]
     with open_regular(path) as file, ExitStack() as until_checked:
-        content = file_hash(file)
+        content = contents[path] = contents.get(path) or file_hash(file)
         given, opened = path, file
         try:
             mended = headers.mended(kind, file)
@@ -281,7 +294,7 @@ def _check_file(kind: str, path: Path, owner: Node, files: Files, scratch: Path 
                 opened = until_checked.enter_context(given.open("rb"))
                 files.warnings += [f"{owner}: '{files.name_of(path)}' {what}" for what in told]
             opened.seek(0)
-            return _File(headers.check(kind, opened, str(given)), content, given)
+            return _File(headers.check(kind, opened, str(given), part), content, given)
         except meshes.BadFileError as error:
             raise SceneRejected(f"{owner}: '{files.name_of(path)}' {error}") from None
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from elps_core.errors import SceneRejected
-from elps_core.scene import lexical, markup
+from elps_core.scene import lexical, markup, packing
 from elps_core.scene.bundle import DEFAULT_LIMITS, BundleLimits, open_regular
 from elps_core.scene.files import Files
 from elps_core.scene.markup import Node
@@ -122,6 +122,8 @@ class _Reading:
         self.bytes += len(content)
         if self.bytes > self.limits.xml_bytes:
             raise SceneRejected(f"{label} is larger than {self.limits.xml_bytes} bytes: move its data into mesh files")
+        if packed := packing.advice(content):
+            raise SceneRejected(f"{label} {packed}")
         self.open.append(path)
         self.names.append(name)
         root = _Reader(self, name).read(content, label)
