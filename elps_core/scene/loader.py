@@ -26,7 +26,7 @@ from elps_core.scene.explain import explain
 from elps_core.scene.files import Files
 from elps_core.scene.markup import Node
 from elps_core.scene.summary import EmitterSummary, FileDefaults, Parameter, SceneSummary, SensorSummary
-from elps_core.scene.text import shown
+from elps_core.scene.text import few, shown
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -231,7 +231,7 @@ def canonicalize(
         document.parameters,
         defaults,
         tuple(integrators),
-        (*document.warnings, *files.warnings, *warnings),
+        (*document.warnings, *few(files.warnings), *few(warnings)),
     )
 
 
@@ -437,8 +437,8 @@ def _summarize(made: _Made, canonical: CanonicalScene) -> SceneSummary:
         warnings=(
             *canonical.warnings,
             *_warnings({node.tag for node in objects}),
-            *dict.fromkeys(asked),
-            *made.warnings,
+            *few(list(dict.fromkeys(asked))),
+            *few(made.warnings),
         ),
         defaults=canonical.defaults,
         parameters=tuple(Parameter(name=name, value=value) for name, value in canonical.parameters.items()),

@@ -91,6 +91,8 @@ class _Reading:
         self.declared: set[str] = set()
         """Parameters that the files declare or use."""
         self.values = dict(defines)
+        self._by_length: list[tuple[str, str]] = []
+        """What stands for each of them, and its name, the longest first; kept, as every value is looked at."""
         self.aliases: dict[str, str] = {}
         self.open: list[Path] = []
         """Files that are being read, each included by the one before."""
@@ -178,15 +180,18 @@ class _Reading:
         """``value`` with parameters put in, as Mitsuba does: longest name first, no second pass."""
         if "\\$" in value:
             raise SceneRejected(f"{node}: an escaped dollar sign is not supported")
-        for name in sorted(self.values, key=len, reverse=True):
-            key, put_in = f"${name}", self.values[name]
+        if len(self._by_length) < len(self.values):
+            self._by_length = [(f"${name}", name) for name in sorted(self.values, key=len, reverse=True)]
+        for key, name in self._by_length:
+            if key not in value:
+                continue
+            put_in = self.values[name]
             count = value.count(key)
             # Parameters may hold parameters: without this bound a few lines grow to gigabytes.
             if len(value) + count * (len(put_in) - len(key)) > MAX_VALUE_CHARACTERS:
                 raise SceneRejected(f"{node}: a value grows too long when its parameters are put in")
-            if count:
-                self.declared.add(name)
-                value = value.replace(key, put_in)
+            self.declared.add(name)
+            value = value.replace(key, put_in)
         left = _USE.search(value)
         if left:
             name = shown(left[0])

@@ -13,6 +13,7 @@ from elps_core.scene import reading, rules
 from elps_core.scene.bundle import BundleLimits, unpack
 from elps_core.scene.files import Files
 from elps_core.scene.loader import canonicalize, load_scene
+from elps_core.scene.text import MAX_WARNINGS
 
 from .conftest import OBJ, SQUARE, VARIANT, Reject, folder_of, listing, load, mesh, scene_xml, zip_of
 
@@ -168,6 +169,13 @@ def test_growth_is_counted_over_all_files_and_from_outside(tmp_path: Path, rejec
     message = reject(reading.read, tmp_path / "scene.xml", Files(tmp_path), {"p": "x" * 10_000})
     assert "grows too large" in message
     assert "too long" in reject(reading.read, tmp_path / "scene.xml", Files(tmp_path), {"p": "x" * 2**19})
+
+
+def test_thousands_of_warnings_are_told_as_a_few(tmp_path: Path) -> None:
+    body = SQUARE + '<path value="nowhere"/>' * 3000 + '<bsdf type="roughdiffuse"/>' * 3000
+    loaded = load(tmp_path, scene_xml(body).replace(b"3.0.0", b"0.6.0"))
+    assert len(loaded.summary.warnings) < 2 * MAX_WARNINGS
+    assert any("2951 other warnings" in line for line in loaded.summary.warnings)
 
 
 # Names that become something else
