@@ -23,13 +23,14 @@ from pathlib import Path, PurePosixPath
 from typing import IO, BinaryIO, NamedTuple
 
 from elps_core.errors import SceneRejected
+from elps_core.scene import packing
 from elps_core.scene.text import is_plain, shown
 
 MIB = 2**20
 
 READ_BY_MITSUBA = frozenset(
     {"xml", "obj", "ply", "serialized", "png", "jpg", "jpeg", "exr", "hdr", "rgbe", "pfm", "ppm", "bmp", "tga"}
-    | {"spd", "vol"}
+    | {"bsdf", "spd", "vol"}
 )
 TEXT = frozenset({"txt"})
 """Extension of curves' control points, and of many notes: unpacked, read where a scene names it."""
@@ -376,9 +377,10 @@ def _copy_folder(upload: Path, into: Path, names: _Names) -> None:
 
 def _copy_xml(upload: Path, into: Path, limits: BundleLimits) -> None:
     with open_regular(upload) as source:
-        start = source.read(256).lstrip(b"\xef\xbb\xbf\xff\xfe\x00 \t\r\n")
-        if not start.startswith(b"<"):
-            raise SceneRejected("the upload is neither a zip archive nor a Mitsuba scene in XML")
+        start = source.read(256)
+        if not start.lstrip(b"\xef\xbb\xbf\xff\xfe\x00 \t\r\n").startswith(b"<"):
+            reason = packing.advice(start) or "is neither a zip archive nor a Mitsuba scene in XML"
+            raise SceneRejected(f"the upload {reason}")
         source.seek(0)
         _Counter(limits, None).copy(source, into / ROOT_XML)
 

@@ -23,6 +23,10 @@ _SENTENCES = {
     "reference to invalid vertex": "a face of its file names a vertex that the file does not have",
     "invalid vertex position data": "its file has vertices that are not finite numbers",
     "invalid vertex normal data": "its normals have no direction: scale no axis by 0 in its 'to_world'",
+    "Measurements in spectral format require": "its file holds spectra: choose a variant that ends in _spectral, or "
+    "take the material's file in RGB",
+    "Measurements in RGB format require": "its file holds RGB colours: choose a variant that ends in _rgb, or take the "
+    "material's file with spectra",
     "invalid file format": "its file is of another kind, or damaged",
     "has the wrong type": "a parameter is of another type than it takes",
 }

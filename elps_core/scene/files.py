@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
-from collections.abc import Iterator
 from pathlib import Path
 
 from elps_core.errors import SceneRejected
 from elps_core.scene.bundle import may_be_used
 from elps_core.scene.text import is_plain, shown
 
+MAX_FOLDERS = 64
+"""Folders in which one scene's files are looked for: each name is tried in all of them."""
 _DRIVE = re.compile(r"[A-Za-z]:")
 """How an absolute name begins on Windows."""
 
@@ -32,6 +33,8 @@ class Files:
         self.root = (root or home).resolve()
         self.warnings: list[str] = []
         self._folders = [self.home]
+        self._listed: dict[Path, dict[str, list[Path]]] = {}
+        """Folder -> its entries by what their names have in common with those that are written differently."""
         self._local = local
         if not self.home.is_relative_to(self.root):
             raise SceneRejected("the scene file lies outside the folder that --root names: name one that holds it")
@@ -40,13 +43,15 @@ class Files:
         """Look for files in another folder first, as ``<path>`` asks; a folder that is not there is warned about.
 
         Raises:
-            SceneRejected: the folder lies outside.
+            SceneRejected: the folder lies outside, or there are too many.
         """
         folder = self._found(name, f"{label}: the folder '{shown(name)}'", [self.home])
         if folder is None or not folder.is_dir():
             self.warnings.append(f"{label}: there is no folder '{shown(name)}': it is not searched")
-        else:
-            self._folders.insert(0, folder)
+            return
+        self._folders = [folder, *(other for other in self._folders if other != folder)]
+        if len(self._folders) > MAX_FOLDERS:
+            raise SceneRejected(f"{label}: more than {MAX_FOLDERS} folders are searched: name fewer")
 
     def find(self, name: str, label: str) -> Path:
         """The absolute path of a file.
@@ -104,29 +109,31 @@ class Files:
         """The only file below the root whose name is the same but for case and Unicode form."""
         here = self.root
         for part in place.relative_to(self.root).parts:
-            fitting = list(_fitting(here, part))
+            fitting = self._fitting(here, part)
             if len(fitting) != 1:
                 return None
             here = fitting[0]
         path = here.resolve()
         return path if path.is_relative_to(self.root) else None
 
+    def _fitting(self, folder: Path, name: str) -> list[Path]:
+        """The entry of that name, or those whose names differ from it by case or Unicode form."""
+        try:
+            if (folder / name).exists():
+                return [folder / name]
+            # A scene may look for thousands of files: the folder is gone through once.
+            if folder not in self._listed:
+                listed = self._listed[folder] = {}
+                for path in sorted(folder.iterdir()):
+                    listed.setdefault(_key(path.name), []).append(path)
+            return self._listed[folder].get(_key(name), [])
+        except (OSError, ValueError):  # no folder, or a name too long
+            return []
+
     def _outside(self, label: str) -> SceneRejected:
         if self._local:
             return SceneRejected(f"{label} lies outside the scene's folder: name a folder that holds both with --root")
         return SceneRejected(f"{label} lies outside the bundle: put it in and name it relative to the scene file")
-
-
-def _fitting(folder: Path, name: str) -> Iterator[Path]:
-    """The entry of that name, or those whose names differ from it by case or Unicode form."""
-    exact = folder / name
-    try:
-        if exact.exists():
-            yield exact
-        else:
-            yield from (path for path in sorted(folder.iterdir()) if _key(path.name) == _key(name))
-    except (OSError, ValueError):  # no folder, or a name too long
-        return
 
 
 def _key(name: str) -> str:

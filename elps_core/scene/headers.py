@@ -1,4 +1,4 @@
-"""Look at a mesh, image or volume file before Mitsuba allocates what its header declares.
+"""Look at a mesh, image, volume or material file before Mitsuba allocates what its header declares.
 
 Imports no Mitsuba. Every check returns the bytes of memory that the file will take at most, so that
 a scene's files can be summed up against one limit.
@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable
 from typing import BinaryIO
 
-from elps_core.scene import images, meshes, objfile, plyfile
+from elps_core.scene import images, meshes, objfile, packing, plyfile, tensorfile
 from elps_core.scene.meshes import BadFileError, file_size
 
 MAX_HEADER_BYTES = 64 * 1024
@@ -22,7 +22,7 @@ _OBJ_GROWTH = 12
 of 12 bytes and, with its vertices' table entries, about 90."""
 
 
-def check(kind: str, file: BinaryIO, path: str) -> int:
+def check(kind: str, file: BinaryIO, path: str, part: int = 0) -> int:
     """Check one file of a scene; return the bytes of memory that reading it takes at most.
 
     What is in an image behind its header :func:`mended` has looked at.
@@ -31,11 +31,12 @@ def check(kind: str, file: BinaryIO, path: str) -> int:
         kind: how the file is read, a value of :data:`elps_core.scene.plugins.FILE_READERS`.
         file: the open file, at its beginning.
         path: where it lies; images are opened by name.
+        part: which of its meshes is asked for, where a file of that kind has several.
 
     Raises:
         BadFileError: the header is damaged, declares more than the file holds, or more than is allowed.
     """
-    return _CHECKS[kind](file, path)
+    return _CHECKS[kind](file, path, part)
 
 
 def mended(kind: str, file: BinaryIO, path: str) -> tuple[bytes, list[str]] | None:
@@ -44,18 +45,22 @@ def mended(kind: str, file: BinaryIO, path: str) -> tuple[bytes, list[str]] | No
     Arguments are those of :func:`check`.
 
     Raises:
-        BadFileError: it is damaged.
+        BadFileError: it is damaged, or packed as a whole.
     """
+    file.seek(0)
+    packed = packing.advice(file.read(packing.MAGIC_BYTES))
+    if packed:
+        raise BadFileError(packed)
     file.seek(0)
     mend = _MENDS.get(kind)
     return mend(file, path) if mend else None
 
 
-def _text(file: BinaryIO, _: str) -> int:
+def _text(file: BinaryIO, *_: object) -> int:
     return _OBJ_GROWTH * file_size(file)
 
 
-def _obj(file: BinaryIO, _: str) -> int:
+def _obj(file: BinaryIO, *_: object) -> int:
     """Mitsuba's reader takes decimal numbers and positive indices; anything else it may misread."""
     start = file.read(MAX_HEADER_BYTES)
     if b"\0" in start:
@@ -69,7 +74,7 @@ _VOLUME_HEADER = struct.Struct("<3sB5i6f")
 """Signature, version, value type, size in x, y, z, channels, bounding box."""
 
 
-def _volume(file: BinaryIO, _: str) -> int:
+def _volume(file: BinaryIO, *_: object) -> int:
     head = file.read(_VOLUME_HEADER.size)
     if len(head) < _VOLUME_HEADER.size:
         raise BadFileError("is not a volume file")
@@ -81,13 +86,14 @@ def _volume(file: BinaryIO, _: str) -> int:
     return 3 * file_size(file)
 
 
-_CHECKS: dict[str, Callable[[BinaryIO, str], int]] = {
+_CHECKS: dict[str, Callable[[BinaryIO, str, int], int]] = {
     "text": _text,
     "obj": _obj,
     "ply": plyfile.memory,
     "serialized": meshes.serialized,
     "volume": _volume,
     "image": images.memory,
+    "measured": tensorfile.measured,
 }
 _MENDS: dict[str, Callable[[BinaryIO, str], tuple[bytes, list[str]] | None]] = {
     "obj": lambda file, _: objfile.mended(file),

@@ -43,7 +43,7 @@ _FLOAT_MAP = re.compile(rb"P([Ff])\s+(\d{1,9})\s+(\d{1,9})\s+(\S{1,40})\s")
 _HEAD_BYTES = 128
 
 
-def memory(file: BinaryIO, path: str) -> int:
+def memory(file: BinaryIO, path: str, _part: int = 0) -> int:
     """Bytes that Mitsuba keeps of an image at most; see :func:`elps_core.scene.headers.check`."""
     with _opened(file, path) as image:
         spec = image.spec()

@@ -17,16 +17,18 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from elps_core.errors import DeviceUnavailable, SceneRejected
-from elps_core.scene import films, reading, sandbox
-from elps_core.scene.bundle import unpack
+from elps_core.scene import films, reading, sandbox, tensorfile
+from elps_core.scene.bundle import open_regular, unpack
 from elps_core.scene.files import Files
+from elps_core.scene.markup import Node
+from elps_core.scene.meshes import BadFileError
 from elps_core.scene.sandbox import ChildDiedError, ChildLimits
 from elps_core.scene.summary import SceneSummary
 
 VARIANT = "scalar_rgb"
 """The variant that runs on every machine: a front end needs neither LLVM nor a GPU to check a scene."""
 SPECTRAL = "scalar_spectral"
-"""The same for scenes whose film keeps bands."""
+"""The same for scenes whose film keeps bands, or whose materials are measured by wavelength."""
 MAX_ERROR_CHARACTERS = 400
 _DEFINE = "-D"
 """Begins an argument of the child that sets a parameter of the scene."""
@@ -68,11 +70,33 @@ def inspect(upload: Path, defines: Mapping[str, str] | None = None) -> SceneRepo
 
     with tempfile.TemporaryDirectory(prefix="elps-scene-") as folder:
         unpacked = unpack(upload, Path(folder))
-        document = reading.read(unpacked.xml, Files(unpacked.xml.parent, Path(folder)), defines)
-        variant = SPECTRAL if films.with_bands(document.root) else VARIANT
+        files = Files(unpacked.xml.parent, Path(folder))
+        document = reading.read(unpacked.xml, files, defines)
+        variant = SPECTRAL if _needs_spectra(document.root, files) else VARIANT
         loaded = load_scene(Path(folder), variant, defines=defines)
         summary = loaded.summary.model_copy(update={"ignored": unpacked.ignored})
         return SceneReport(digest=loaded.digest, summary=summary)
+
+
+def _needs_spectra(root: Node, files: Files) -> bool:
+    """Whether something below ``root`` has a meaning in variants with spectra alone: a film or a measured material."""
+    if films.with_bands(root):
+        return True
+    measured = (node for node in root.objects() if (node.tag, node.type) == ("bsdf", "measured"))
+    named = ((node, node.property("string", "filename")) for node in measured)
+    return any(
+        _holds_spectra(files.find(name.attributes.get("value", ""), str(node)))
+        for node, name in named
+        if name is not None
+    )
+
+
+def _holds_spectra(path: Path) -> bool:
+    try:
+        with open_regular(path) as file:
+            return tensorfile.has_spectra(tensorfile.fields(file))
+    except BadFileError:  # told where the file is checked
+        return False
 
 
 def inspect_in_child(

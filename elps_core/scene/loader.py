@@ -26,7 +26,7 @@ from elps_core.scene.explain import explain
 from elps_core.scene.files import Files
 from elps_core.scene.markup import Node
 from elps_core.scene.summary import EmitterSummary, FileDefaults, Parameter, SceneSummary, SensorSummary
-from elps_core.scene.text import shown
+from elps_core.scene.text import few, shown
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -205,14 +205,16 @@ def canonicalize(
         warnings.append(_NO_CAMERA)
     absolute: dict[int, str] = {}
     hashed: dict[int, str] = {}
-    checked: dict[tuple[str, str], _File] = {}
+    checked: dict[tuple[str, str, int], _File] = {}
+    contents: dict[Path, str] = {}
     memory = 0
     for owner in objects:
         for node, kind in file_names(owner):
             path = files.find(node.attributes.get("filename") or node.attributes.get("value", ""), str(owner))
-            if (kind, str(path)) not in checked:
-                checked[kind, str(path)] = _check_file(kind, path, owner, files, scratch)
-            file = checked[kind, str(path)]
+            key = kind, str(path), rules.part_of(owner)
+            if key not in checked:
+                checked[key] = _check_file(key, owner, files, scratch, contents)
+            file = checked[key]
             memory += file.memory
             if memory > MAX_SCENE_BYTES:
                 raise SceneRejected(f"{owner}: with this file the scene needs more than {MAX_SCENE_BYTES >> 30} GiB")
@@ -239,7 +241,7 @@ def canonicalize(
         defaults,
         tuple(integrators),
         framed,
-        (*document.warnings, *files.warnings, *warnings),
+        (*document.warnings, *few(files.warnings), *few(warnings)),
     )
 
 
@@ -289,10 +291,21 @@ class _File(NamedTuple):
     """What Mitsuba is given: the file itself, or one that it reads right."""
 
 
-def _check_file(kind: str, path: Path, owner: Node, files: Files, scratch: Path | None) -> _File:
-    """Check a file; where Mitsuba would refuse or misread it, write it anew into ``scratch``."""
+def _check_file(
+    key: tuple[str, str, int], owner: Node, files: Files, scratch: Path | None, contents: dict[Path, str]
+) -> _File:
+    """Check a file; where Mitsuba would refuse or misread it, write it anew into ``scratch``.
+
+    Args:
+        key: how it is read, where it lies, which of its parts is asked for.
+        owner: the element that names it.
+        files: where it was found.
+        scratch: as in :func:`canonicalize`.
+        contents: hashes of the files of this scene, taken once each.
+    """
+    kind, path, part = key[0], Path(key[1]), key[2]
     with open_regular(path) as file, ExitStack() as until_checked:
-        content = file_hash(file)
+        content = contents[path] = contents.get(path) or file_hash(file)
         given, opened = path, file
         try:
             mended = headers.mended(kind, file, str(path))
@@ -304,7 +317,7 @@ def _check_file(kind: str, path: Path, owner: Node, files: Files, scratch: Path 
                 opened = until_checked.enter_context(given.open("rb"))
                 files.warnings += [f"{owner}: '{files.name_of(path)}' {what}" for what in told]
             opened.seek(0)
-            return _File(headers.check(kind, opened, str(given)), content, given)
+            return _File(headers.check(kind, opened, str(given), part), content, given)
         except meshes.BadFileError as error:
             raise SceneRejected(f"{owner}: '{files.name_of(path)}' {error}") from None
 
@@ -447,8 +460,8 @@ def _summarize(made: _Made, canonical: CanonicalScene) -> SceneSummary:
         warnings=(
             *canonical.warnings,
             *_warnings({node.tag for node in objects}),
-            *dict.fromkeys(asked),
-            *made.warnings,
+            *few(list(dict.fromkeys(asked))),
+            *few(made.warnings),
         ),
         defaults=canonical.defaults,
         parameters=tuple(Parameter(name=name, value=value) for name, value in canonical.parameters.items()),

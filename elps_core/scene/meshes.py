@@ -22,8 +22,14 @@ MAX_TEXT_BYTES = 2**26
 """Of a PLY file in text, which takes 20 times its size while it is checked; larger ones should be binary."""
 DEFLATE_BEST_RATIO = 1032
 """A deflate stream grows at most this much (zlib's technical notes)."""
-MAX_PARTS = 4096
-"""Meshes in one serialized file."""
+MAX_MESH_BYTES = 2**31
+"""Of one unpacked mesh of a serialized file, which is held in memory while it is checked: 50 million vertices."""
+_PART_HEADER = 4
+"""Bytes before the stream of each mesh of a serialized file: signature and version."""
+_COUNT_BYTES = 4
+"""Size of the number of meshes, which ends a serialized file."""
+_BLOCK_BYTES = 2**20
+"""What is read of a packed file at once."""
 
 BYTES_PER_VERTEX = 32
 """Position, normal, texture coordinates in single precision."""
@@ -65,36 +71,60 @@ def check_columns(names: list[str], columns: list[NDArray[Any]], vertices: int) 
             raise BadFileError("has vertices that are not finite numbers")
 
 
-def serialized(file: BinaryIO, _: str = "") -> int:
-    """Check every mesh of a serialized file; see :func:`elps_core.scene.headers.check`."""
+def serialized(file: BinaryIO, _: object = "", part: int = 0) -> int:
+    """Check one mesh of a serialized file; see :func:`elps_core.scene.headers.check`."""
     size = file_size(file)
-    start = file.read(4)
-    if len(start) < 4 or start[:2] != b"\x1c\x04":
+    start = file.read(_PART_HEADER)
+    if len(start) < _PART_HEADER or start[:2] != b"\x1c\x04":
         raise BadFileError("is not a serialized mesh file")
     version = struct.unpack("<H", start[2:])[0]
     if version not in (3, 4):
-        raise BadFileError("is a serialized mesh file of an unknown version")
-    width, code = (8, "Q") if version == 4 else (4, "I")
-    file.seek(size - 4)
-    count = struct.unpack("<I", file.read(4))[0]
-    if count == 0 or count > MAX_PARTS or 4 + count * width > size:
-        raise BadFileError("is a serialized mesh file with a damaged directory")
-    file.seek(size - 4 - count * width)
-    offsets = struct.unpack(f"<{count}{code}", file.read(count * width))
-    # Parts may not share bytes: a small file would else be unpacked thousands of times.
-    ends = [*offsets[1:], size]
-    if offsets[0] != 0 or any(begin + 4 >= end for begin, end in zip(offsets, ends, strict=True)):
-        raise BadFileError("is a serialized mesh file with a damaged directory")
-    return sum(_serialized_mesh(file, begin, end, version == 4) for begin, end in zip(offsets, ends, strict=True))
+        raise BadFileError(f"is a serialized mesh file of version {version}: only 3 and 4 can be read")
+    begin = _offset(file, size, 8 if version == 4 else 4, part) if part else 0
+    if begin + _PART_HEADER >= size:
+        raise BadFileError(f"is cut off or damaged: its mesh {part} lies beyond its end")
+    file.seek(begin + _PART_HEADER)
+    return _serialized_mesh(_Stream(file), size - begin, version == 4)
 
 
-def _serialized_mesh(file: BinaryIO, begin: int, end: int, has_name: bool) -> int:
+def _offset(file: BinaryIO, size: int, width: int, part: int) -> int:
+    """Where a mesh begins, by the directory at the end of the file: offsets of ``width`` bytes, and their count."""
+    file.seek(size - _COUNT_BYTES)
+    count = struct.unpack("<I", file.read(_COUNT_BYTES))[0]
+    if count == 0 or _COUNT_BYTES + count * width > size:
+        raise BadFileError("is a serialized mesh file with a damaged directory")
+    # Mitsuba takes the number of meshes for one of them, and reads what stands there as an offset.
+    if not 0 <= part < count:
+        raise BadFileError(f"has {count} meshes, counted from 0: there is none of the 'shape_index' {part}")
+    file.seek(size - _COUNT_BYTES - (count - part) * width)
+    return int.from_bytes(file.read(width), "little")
+
+
+class _Stream:
+    """What a deflated stream holds, as far as it is asked for."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._stream = zlib.decompressobj()
+        self._packed = b""
+
+    def read(self, count: int) -> bytes:
+        """The next bytes: fewer than ``count`` at the end of the stream only."""
+        found = bytearray()
+        while len(found) < count and not self._stream.eof:
+            block = self._packed or self._file.read(_BLOCK_BYTES)
+            piece = self._stream.decompress(block, count - len(found))
+            self._packed = self._stream.unconsumed_tail
+            if not block and not piece:
+                break
+            found += piece
+        return bytes(found)
+
+
+def _serialized_mesh(stream: _Stream, most_packed: int, has_name: bool) -> int:
     """One mesh: flags, name, counts, then positions, normals, texture coordinates, colours, faces."""
-    file.seek(begin + 4)
-    packed = file.read(end - begin - 4)
-    stream = zlib.decompressobj()
     try:
-        head = stream.decompress(packed, MAX_HEADER_BYTES)
+        head = stream.read(MAX_HEADER_BYTES)
         at = head.find(b"\0", 4) + 1 if has_name else 4
         if at == 0 or len(head) < at + 16:
             raise BadFileError("is a serialized mesh file that is cut off")
@@ -107,16 +137,18 @@ def _serialized_mesh(file: BinaryIO, begin: int, end: int, has_name: bool) -> in
         kind = "<f8" if flags & 0x2000 else "<f4"
         vertex_bytes = int(vertices) * values * np.dtype(kind).itemsize
         needed = at + 16 + vertex_bytes + int(faces) * 12
-        if needed > DEFLATE_BEST_RATIO * len(packed):
+        if needed > DEFLATE_BEST_RATIO * most_packed:
             raise BadFileError("declares more vertices or faces than it holds: it is cut off or damaged")
+        if needed > MAX_MESH_BYTES:
+            raise BadFileError(f"has a mesh of more than {MAX_MESH_BYTES >> 30} GiB: make it smaller")
         if len(head) < needed:
-            head += stream.decompress(stream.unconsumed_tail, needed - len(head))
+            head += stream.read(needed - len(head))
     except zlib.error:
         raise BadFileError("is a serialized mesh file with damaged compression") from None
     if len(head) < needed:
         raise BadFileError("declares more vertices or faces than it holds: it is cut off or damaged")
-    positions = np.frombuffer(head, kind, int(vertices) * 3, at + 16)
+    with np.errstate(over="ignore"):  # what is too large for single precision becomes infinite, as in Mitsuba
+        positions = np.frombuffer(head, kind, int(vertices) * 3, at + 16).astype(np.float32)
     indices = np.frombuffer(head, "<u4", int(faces) * 3, at + 16 + vertex_bytes)
-    names = ["x", "index"]
-    check_columns(names, [positions, indices], int(vertices))
+    check_columns(["x", "index"], [positions, indices], int(vertices))
     return needed + int(vertices) * BYTES_PER_VERTEX

@@ -42,6 +42,7 @@ PLUGINS: dict[str, frozenset[str]] = {
             "diffuse",
             "hair",
             "mask",
+            "measured",
             "normalmap",
             "null",
             "plastic",
@@ -103,15 +104,23 @@ PLUGINS: dict[str, frozenset[str]] = {
 }
 """Element -> plugins of Mitsuba 3.9 that it may name.
 
-Left out on purpose: ``blender`` takes raw memory addresses; ``merge`` is Mitsuba's own doing;
-``measured`` and ``measured_polarized`` map a binary file without checking it; ``ellipsoids`` and
-``ellipsoidsmesh`` serve radiance fields, and a file of the wrong layout crashes them.
+Those that are left out on purpose are in :data:`REFUSED`.
 """
+
+REFUSED: dict[tuple[str, str], str] = {
+    ("bsdf", "measured_polarized"): "light has no polarization here: take a file of the plugin 'measured'",
+    ("shape", "blender"): "it reads the memory of a running Blender: export the mesh as PLY",
+    ("shape", "ellipsoids"): "radiance fields are not rendered: give the scene surfaces",
+    ("shape", "ellipsoidsmesh"): "radiance fields are not rendered: give the scene surfaces",
+    ("shape", "merge"): "shapes are merged in any case: take its parts out of it",
+}
+"""(element, plugin of Mitsuba 3.9) that a scene may not name -> why, and what to do."""
 
 DEFAULT_MATERIAL = "diffuse"
 """Mitsuba's own, which it makes anew for each shape that names none."""
 
 FILE_READERS: dict[tuple[str, str], str] = {
+    ("bsdf", "measured"): "measured",
     ("shape", "obj"): "obj",
     ("shape", "ply"): "ply",
     ("shape", "serialized"): "serialized",

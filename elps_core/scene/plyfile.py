@@ -125,7 +125,7 @@ def _plain(element: Element) -> bool:
     return not any(name in odd or (name in "rgb" and kind[0] in "ui") for name, kind in scalars)
 
 
-def memory(file: BinaryIO, _: str = "") -> int:
+def memory(file: BinaryIO, *_: object) -> int:
     """Bytes that Mitsuba keeps of such a file at most; see :func:`elps_core.scene.headers.check`."""
     return sum(each.count * (BYTES_PER_VERTEX + BYTES_PER_FIELD * len(each.fields)) for each in header(file).elements)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from elps_core.errors import SceneRejected
-from elps_core.scene import lexical, markup
+from elps_core.scene import lexical, markup, packing
 from elps_core.scene.bundle import DEFAULT_LIMITS, BundleLimits, open_regular
 from elps_core.scene.files import Files
 from elps_core.scene.markup import Node
@@ -91,6 +91,8 @@ class _Reading:
         self.declared: set[str] = set()
         """Parameters that the files declare or use."""
         self.values = dict(defines)
+        self._by_length: list[tuple[str, str]] = []
+        """What stands for each of them, and its name, the longest first; kept, as every value is looked at."""
         self.aliases: dict[str, str] = {}
         self.open: list[Path] = []
         """Files that are being read, each included by the one before."""
@@ -122,6 +124,8 @@ class _Reading:
         self.bytes += len(content)
         if self.bytes > self.limits.xml_bytes:
             raise SceneRejected(f"{label} is larger than {self.limits.xml_bytes} bytes: move its data into mesh files")
+        if packed := packing.advice(content):
+            raise SceneRejected(f"{label} {packed}")
         self.open.append(path)
         self.names.append(name)
         root = _Reader(self, name).read(content, label)
@@ -176,15 +180,18 @@ class _Reading:
         """``value`` with parameters put in, as Mitsuba does: longest name first, no second pass."""
         if "\\$" in value:
             raise SceneRejected(f"{node}: an escaped dollar sign is not supported")
-        for name in sorted(self.values, key=len, reverse=True):
-            key, put_in = f"${name}", self.values[name]
+        if len(self._by_length) < len(self.values):
+            self._by_length = [(f"${name}", name) for name in sorted(self.values, key=len, reverse=True)]
+        for key, name in self._by_length:
+            if key not in value:
+                continue
+            put_in = self.values[name]
             count = value.count(key)
             # Parameters may hold parameters: without this bound a few lines grow to gigabytes.
             if len(value) + count * (len(put_in) - len(key)) > MAX_VALUE_CHARACTERS:
                 raise SceneRejected(f"{node}: a value grows too long when its parameters are put in")
-            if count:
-                self.declared.add(name)
-                value = value.replace(key, put_in)
+            self.declared.add(name)
+            value = value.replace(key, put_in)
         left = _USE.search(value)
         if left:
             name = shown(left[0])

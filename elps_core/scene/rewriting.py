@@ -8,15 +8,12 @@ from typing import NoReturn
 
 from elps_core.errors import SceneRejected
 from elps_core.scene.markup import Node
-from elps_core.scene.text import shown
+from elps_core.scene.text import few, shown
 
 MAX_COPIED = 100_000
 """Elements that one upgrade may write a second time: references let a few lines ask for any number."""
 MAX_LISTED = 12
 """Names that one warning lists; a reader looks no further."""
-
-MAX_WARNINGS = 50
-"""Lines of warnings that one file may cause."""
 MAX_FLOAT = 3.4028234e38
 """Largest number in single precision; what is beyond it is left to the check of the values, which refuses it."""
 
@@ -77,9 +74,7 @@ class Rewrite:
             names = [f"{name} of {nodes[0]}{_others(nodes)}" for (name, _), nodes in self._left_out.items()]
             rest = f" and {len(names) - MAX_LISTED} others" if len(names) > MAX_LISTED else ""
             lines.append(f"left out, as today's Mitsuba does not know it: {', '.join(names[:MAX_LISTED])}{rest}")
-        if len(lines) > MAX_WARNINGS:
-            lines[MAX_WARNINGS - 1 :] = [f"and {len(lines) - MAX_WARNINGS + 1} other warnings"]
-        return lines
+        return few(lines)
 
 
 def element(owner: Node, tag: str, attributes: dict[str, str], children: Sequence[Node] = ()) -> Node:

@@ -33,11 +33,16 @@ MAX_LABEL_CHARACTERS = 200
 DEFAULT_FILM_SIZE = (768, 576)
 """Mitsuba's own, where a film does not say."""
 
+_PART = "shape_index"
+"""Parameter of a shape whose file holds several."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _SEPARATORS = re.compile(r"[,\s]+")
 _SPECTRUM_SEPARATORS = re.compile(r"[,:\s]+")
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.\-]{0,99}")
+_TAKEN = re.compile(r"filename|_arg_[0-9]+")
+"""Names of files, and those that Mitsuba gives to objects without a name: one that is called so takes another's place,
+without a word."""
 _STRING = re.compile(r"[A-Za-z0-9_ .,:;+\-*()=\t\r\n]*")
 """Text parameters: names of materials and distributions, lists of numbers. Without a slash none is a path."""
 
@@ -92,6 +97,20 @@ def film_size(film: Node | None) -> tuple[int, int]:
     return width, height
 
 
+def part_of(owner: Node) -> int:
+    """Which mesh of its file a shape asks for, counted from 0.
+
+    Raises:
+        SceneRejected: it does not say so by an integer.
+    """
+    given = next((child for child in owner.children if child.attributes.get("name") == _PART), None)
+    if given is None:
+        return 0
+    if given.tag != "integer":
+        raise SceneRejected(f"{owner}: its parameter '{_PART}' must be of the type integer, not {given.tag}")
+    return int(given.attributes["value"])
+
+
 def check_film_size(width: int, height: int) -> None:
     """Refuse an image without pixels or with too many.
 
@@ -105,6 +124,8 @@ def check_film_size(width: int, height: int) -> None:
 
 
 def _check_object(node: Node) -> None:
+    if reason := plugins.REFUSED.get((node.tag, node.type)):
+        raise SceneRejected(f"{node} is not one that a scene may use: {reason}")
     if node.tag != "scene" and node.type not in plugins.PLUGINS[node.tag]:
         raise SceneRejected(f"{node}: the plugin is not one that a scene may use as <{node.tag}>")
     identifier = node.attributes.get("id")
@@ -127,6 +148,8 @@ def _check_name(node: Node, taken: set[str]) -> None:
     named = node.is_object or node.tag == "ref"
     if name is not None and not (_is_label(name) if named else _NAME.fullmatch(name)):
         raise SceneRejected(f"{node} has a name that no parameter has: '{shown(name)}'")
+    if name is not None and _TAKEN.fullmatch(name) and (name, node.tag) != ("filename", "string"):
+        raise SceneRejected(f"{node} has the name '{name}', which Mitsuba gives to others: rename it")
     if name in taken:
         raise SceneRejected(f"{node} gives the parameter '{shown(name)}' a second time")
     if name is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from elps_core.scene.files import Files
+from elps_core.scene.files import MAX_FOLDERS, Files
 
 from .conftest import Reject, folder_of
 
@@ -68,3 +68,29 @@ def test_an_answer_does_not_tell_what_lies_outside(tmp_path: Path, reject: Rejec
     files = Files(tmp_path / "in")
     answers = {reject(files.find, f"../{name}.png", LABEL).replace(name, "") for name in ("there", "gone!")}
     assert len(answers) == 1
+
+
+def test_folders_that_are_named_again_are_searched_once_and_many_are_refused(tmp_path: Path, reject: Reject) -> None:
+    folder_of(tmp_path, {"a.obj": b"0", "one/a.obj": b"1", "two/a.obj": b"2"})
+    files = Files(tmp_path)
+    for folder in ("one", "two", "one", ".", "one/../two"):
+        files.search(folder, "<path>")
+    assert files.find("a.obj", LABEL).read_bytes() == b"2"
+    for number in range(MAX_FOLDERS - 3):
+        (tmp_path / str(number)).mkdir()
+        files.search(str(number), "<path>")
+    (tmp_path / "last").mkdir()
+    files.search("one", "<path>")
+    assert "name fewer" in reject(files.search, "last", "<path>")
+
+
+def test_a_folder_is_gone_through_once_for_all_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder_of(tmp_path, {f"Mesh{number}.obj": b"x" for number in range(5)})
+    gone_through: list[Path] = []
+    iterdir = Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda self: gone_through.append(self) or iterdir(self))
+    files = Files(tmp_path)
+    for number in range(5):
+        assert files.find(f"mesh{number}.OBJ", LABEL).name == f"Mesh{number}.obj"
+    assert gone_through == [tmp_path]
+    assert len(files.warnings) == 5

@@ -13,6 +13,7 @@ from elps_core.errors import SceneRejected
 from elps_core.scene import known, plugins, rewriting, rules
 from elps_core.scene.loader import load_scene
 from elps_core.scene.markup import write
+from elps_core.scene.text import MAX_WARNINGS
 
 from .conftest import LIGHT, SENSOR, folder_of
 from .upgrading import OLD, TODAY, VARIANT, one, same, shape_of, told, tree, upgraded
@@ -257,7 +258,7 @@ def test_numbers_without_measure_end_in_a_refusal_at_the_latest_by_the_rules(tex
 
 def test_warnings_are_few_and_show_no_odd_characters() -> None:
     lines = told("".join(f'<sampler type="a\u200b{i}"/>' for i in range(200)))
-    assert len(lines) == rewriting.MAX_WARNINGS
+    assert len(lines) == MAX_WARNINGS
     assert lines[-1] == "and 151 other warnings"
     assert "a?0" in lines[0]
 
