@@ -24,8 +24,7 @@ _SENTENCES = {
     "invalid vertex position data": "its file has vertices that are not finite numbers",
     "invalid vertex normal data": "its normals have no direction: scale no axis by 0 in its 'to_world'",
     "invalid file format": "its file is of another kind, or damaged",
-    "indices of refraction must be positive and differ": "its 'int_ior' and 'ext_ior' must be positive and differ: "
-    "where they are equal light passes a dielectric as it does 'null', and a plastic is 'diffuse'",
+    "indices of refraction must be positive and differ": "its 'int_ior' and 'ext_ior' must be positive and differ",
     "indices of refraction must be positive": "its 'int_ior' and 'ext_ior' must be positive",
     "invalid index of refraction property": "its index is out of range or given twice: give 'eta' or 'specular'",
     "'alpha_u' and 'alpha_v' must be specified": "it has one of 'alpha_u' and 'alpha_v': give both",

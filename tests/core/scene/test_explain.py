@@ -33,7 +33,6 @@ def placed(name: str, place: str) -> str:
         (material('<string name="material" value="Unobtainium"/>', "conductor"), ["'Unobtainium'", "'material'"]),
         (material('<float name="weight" value="1"/>', "blendbsdf"), ["blendbsdf", "two materials"]),
         (material('<bsdf type="dielectric"/>', "twosided"), ["twosided", "light passes"]),
-        (material(INDEX.format(1.3, 1.3), "roughplastic"), ["roughplastic", "must be positive and differ", "'null'"]),
         (material(INDEX.format(1.3, 1.3), "hair"), ["hair", "must be positive and differ"]),
         (material(INDEX.format(-1.0, 1.3), "dielectric"), ["dielectric", "'int_ior' and 'ext_ior' must be positive"]),
         (material('<float name="alpha_u" value="1"/>', "roughconductor"), ["roughconductor", "give both"]),
