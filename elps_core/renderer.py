@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import drjit as dr
@@ -21,6 +22,8 @@ from elps_core.integrators.alpha import AlphaFrames
 from elps_core.integrators.canvas import Canvas
 from elps_core.integrators.leftout import Counts, seen_at
 from elps_core.paths.stream import key_seed
+from elps_core.scene import darkness
+from elps_core.scene.explain import in_one_line
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import PATH, Choice, choose, fit_candidates, plain_of
@@ -96,12 +99,16 @@ class Renderer:
         """Samples per pixel of chunk ``index``."""
         return chunk_spp(index, self.choice.settings, self.size)
 
+    @in_one_line()
     def render_chunk(self, index: int, spp: int | None = None) -> Chunk:
         """Render chunk ``index``; the same index gives the same image to float rounding.
 
         ``spp`` replaces the chunk's own number of samples where the caller merges by itself.
 
         Samples that are not finite are left out, and pixels whose sums are not: see :attr:`Chunk.left_out`.
+
+        Raises:
+            RenderFailed: Mitsuba cannot evaluate a texture, or this integrator of its own cannot render the scene.
         """
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
@@ -129,7 +136,14 @@ class Renderer:
             image, weight = np.where(odd[..., None], np.float32(0.0), image), np.where(odd, np.float32(0.0), weight)
             filtered = None if filtered is None else np.where(odd, np.float32(0.0), filtered)
         seconds = time.perf_counter() - begin
-        return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, self._seen_at(left_out))
+        colours = image[..., : len(self._canvas.names)]
+        dark = () if colours.any() or odd.any() else self._reasons_for_darkness
+        seen = self._seen_at(left_out)
+        return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, seen, dark)
+
+    @cached_property
+    def _reasons_for_darkness(self) -> tuple[str, ...]:
+        return darkness.reasons(self.scene)
 
     def _seen_at(self, left_out: Counts) -> dict[str, int]:
         return seen_at(self.scene.scene, self.scene.sensor, left_out) if left_out.any() else {}
@@ -151,7 +165,9 @@ class Renderer:
         """
         seed = key_seed(self.settings.seed, index) & 0xFFFFFFFF
         scene, sensor, canvas = self.scene.scene, self.scene.sensor, self._canvas
-        mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
+        failed = f"Mitsuba's own '{self.settings.integrator}' cannot render this scene: choose path"
+        with in_one_line(otherwise=failed):
+            mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
         stored = np.array(sensor.film().develop(raw=True), np.float32)
         sums, weight = stored[..., :-1], stored[..., -1]
         if not weight.any():  # Light paths alone: the film holds radiance.

@@ -23,6 +23,7 @@ from elps_core.errors import ContextMismatch, NothingScatters
 from elps_core.sampling.start import StartDensity, power_table
 from elps_core.scene.digest import context_digest
 from elps_core.scene.emission import Emission
+from elps_core.scene.explain import in_one_line
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import (
@@ -127,6 +128,7 @@ class ContextBuilder:
         self._compared = self._compared or begun
         return begun
 
+    @in_one_line()
     def step(self, allowance: Allowance = ENDLESS) -> None:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`.
 

@@ -64,6 +64,8 @@ class Chunk:
     width], 1 on average. Many chunks' images are divided by their mean of it: see :class:`Accumulation`."""
     left_out: Mapping[str, int] = field(default_factory=dict)
     """Samples that were not finite and count nowhere, by what the camera sees where they fell."""
+    dark: tuple[str, ...] = ()
+    """Why the image may be black, where it is; empty otherwise."""
 
     def to_bytes(self) -> bytes:
         """The chunk as one safetensors record."""
@@ -72,6 +74,8 @@ class Chunk:
         record: dict[str, NDArray[Any]] = {"facts": facts, "image": self.image, "weight": self.weight, **statistics}
         record |= _named(_LEFT_OUT, self.left_out)
         record["channels"] = _packed(self.channels)
+        if self.dark:
+            record["dark"] = _packed(self.dark)
         if self.filtered is not None:
             record["filtered"] = self.filtered
         return save_tensors(record)
@@ -85,8 +89,8 @@ class Chunk:
         image, channels = record["image"], _unpacked(record["channels"])
         filtered = record.get("filtered")
         left_out = _counts_in(record)
-        weight = record["weight"]
-        return cls(int(index), int(spp), float(seconds), image, weight, statistics, channels, filtered, left_out)
+        weight, dark = record["weight"], _dark_in(record)
+        return cls(int(index), int(spp), float(seconds), image, weight, statistics, channels, filtered, left_out, dark)
 
 
 @dataclass
@@ -109,6 +113,8 @@ class Accumulation:
     channels: tuple[str, ...] = RGB
     left_out: dict[str, int] = field(default_factory=dict)
     """Of all chunks: see :attr:`Chunk.left_out`."""
+    dark: tuple[str, ...] = ()
+    """Of black chunks: see :attr:`Chunk.dark`."""
     _weight: NDArray[np.float64] = field(init=False, repr=False)
     _sum: NDArray[np.float64] = field(init=False, repr=False)
     _square: NDArray[np.float64] = field(init=False, repr=False)
@@ -158,6 +164,7 @@ class Accumulation:
         self.spp += chunk.spp
         self.seconds += chunk.seconds
         self._leave_out(chunk.left_out)
+        self.dark = self.dark or chunk.dark
         for name, value in chunk.statistics.items():
             if math.isfinite(value):  # a share of nothing says nothing
                 self._statistics.setdefault(name, []).append((float(chunk.spp), value))
@@ -200,6 +207,7 @@ class Accumulation:
         self.spp += other.spp
         self.seconds += other.seconds
         self._leave_out(other.left_out)
+        self.dark = self.dark or other.dark
         for name, values in other._statistics.items():
             self._statistics.setdefault(name, []).extend(values)
 
@@ -209,14 +217,18 @@ class Accumulation:
 
     def warnings(self) -> tuple[str, ...]:
         """What there is to say against the image, a line each."""
+        black = tuple(f"the image is black: {reason}" for reason in self.dark if not self._shines())
         if not self.left_out:
-            return ()
+            return black
         count, samples = sum(self.left_out.values()), self.spp * self.width * self.height
         named = sorted(self.left_out, key=lambda name: (-self.left_out[name], name))
         others = [f"and {len(named) - MOST_NAMED} other things"] if len(named) > MOST_NAMED else []
         seen = ", ".join([*named[:MOST_NAMED], *others])
         what = f"{count:,} samples that are not finite are left out (the image has {samples:,})"
-        return (f"{what}: their pixels show {seen}; check these materials, and how bright the lights are",)
+        return (f"{what}: their pixels show {seen}; check these materials, and how bright the lights are", *black)
+
+    def _shines(self) -> bool:
+        return bool(self._sum[..., : len(self.channels) - (self.channels == RGBA)].any())
 
     def mean(self) -> Image:
         """The image, float32 [height, width, channels]; zeros where nothing was sampled."""
@@ -285,6 +297,7 @@ class Accumulation:
             "square": self._square,
             **{_STATISTIC + name: np.array(values, np.float64) for name, values in self._statistics.items()},
             **_named(_LEFT_OUT, self.left_out),
+            **({"dark": _packed(self.dark)} if self.dark else {}),
         }
         return save_tensors(record)
 
@@ -294,7 +307,9 @@ class Accumulation:
         record = load_tensors(data)
         width, height, spp, seconds = record["facts"]
         chunks, channels = {int(i) for i in record["chunks"]}, _unpacked(record["channels"])
-        result = cls(int(width), int(height), chunks, int(spp), float(seconds), channels, _counts_in(record))
+        result = cls(
+            int(width), int(height), chunks, int(spp), float(seconds), channels, _counts_in(record), _dark_in(record)
+        )
         result._weight, result._sum, result._square = record["weight"], record["sum"], record["square"]
         result._filtered = record.get("filtered")
         result._statistics = {
@@ -322,6 +337,10 @@ def _in(record: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]
 
 def _counts_in(record: dict[str, NDArray[Any]]) -> dict[str, int]:
     return {name: int(values[0]) for name, values in _in(record, _LEFT_OUT).items()}
+
+
+def _dark_in(record: dict[str, NDArray[Any]]) -> tuple[str, ...]:
+    return _unpacked(record["dark"]) if "dark" in record else ()
 
 
 def _divide(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
