@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from elps_core.context.adjoint import density_of
 from elps_core.context.build import check_lights
 from elps_core.context.store import GlobalContext
-from elps_core.errors import ContextMismatch, RenderFailed, SettingsRejected
+from elps_core.errors import ContextMismatch, SettingsRejected
 from elps_core.estimate.film import RGBA, Chunk
 from elps_core.estimate.schedule import chunk_spp
 from elps_core.integrators import make
 from elps_core.integrators.alpha import AlphaFrames
 from elps_core.integrators.canvas import Canvas
+from elps_core.integrators.leftout import Counts, seen_at
 from elps_core.paths.stream import key_seed
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
@@ -100,8 +101,7 @@ class Renderer:
 
         ``spp`` replaces the chunk's own number of samples where the caller merges by itself.
 
-        Raises:
-            RenderFailed: the image holds values that are not numbers.
+        Samples that are not finite are left out, and pixels whose sums are not: see :attr:`Chunk.left_out`.
         """
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
@@ -114,16 +114,25 @@ class Renderer:
             frame = self.frames.render(count, (self.settings.seed, index))
             image, weight, statistics = np.array(frame.image), np.array(frame.weight), frame.statistics
             filtered = None if frame.filtered is None else np.array(frame.filtered)
+            left_out = frame.left_out
         else:
             image, weight, filtered, alpha = self._render_baseline(count, index)
-            statistics = {}
+            statistics, left_out = {}, np.zeros(self._canvas.shape, np.uint32)
         channels = self._canvas.names
         if self._canvas.has_alpha:
             alpha = self._render_alpha(count, index) if alpha is None else alpha
             image, channels = np.concatenate([image, alpha[..., None]], axis=-1), RGBA
-        if not np.isfinite(image).all():
-            raise RenderFailed("the image holds values that are not numbers: check the scene's materials and lights")
-        return Chunk(index, count, time.perf_counter() - begin, image, weight, statistics, channels, filtered)
+        # Mitsuba's integrators tell of whole pixels alone, and sums of finite samples may be infinite.
+        odd = ~np.isfinite(image).all(axis=-1)
+        if odd.any():
+            left_out = np.where(odd, np.uint32(count), left_out)
+            image, weight = np.where(odd[..., None], np.float32(0.0), image), np.where(odd, np.float32(0.0), weight)
+            filtered = None if filtered is None else np.where(odd, np.float32(0.0), filtered)
+        seconds = time.perf_counter() - begin
+        return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, self._seen_at(left_out))
+
+    def _seen_at(self, left_out: Counts) -> dict[str, int]:
+        return seen_at(self.scene.scene, self.scene.sensor, left_out) if left_out.any() else {}
 
     def _render_alpha(self, spp: int, index: int) -> _Image:
         """The alpha channel with the samples of chunk ``index``, [height, width]."""

@@ -99,6 +99,7 @@ def submit(
         typer.echo(job.id)
     if wait or output is not None:
         job = _watch(url, job.id, output)
+        _warn(job.image_warnings)
     if as_json:
         typer.echo(job.model_dump_json())
     _exit(job)
@@ -113,7 +114,7 @@ def watch(
     if output is not None:
         options.check_output(output)
     ended = _watch(url, job, output)
-    _warn(ended.warnings)
+    _warn((*ended.warnings, *ended.image_warnings))
     _exit(ended)
 
 

@@ -87,6 +87,8 @@ class Job(_Record):
     """What the algorithm says of its work; of pssmlt its brightness and the acceptance of its mutations."""
     warnings: tuple[str, ...] = ()
     """What the image will lack, because this integrator cannot find it in this scene."""
+    image_warnings: tuple[str, ...] = ()
+    """What there is to say against the image as it is so far, such as samples that were left out."""
     context_digest: str | None = None
     context_hit: bool | None = None
     """True where the context existed before this job asked for it."""

@@ -48,6 +48,7 @@ class _Merged(NamedTuple):
     """Per sample per pixel, of the chunk merged last."""
     error: float | None
     statistics: dict[str, Statistic]
+    warnings: tuple[str, ...]
 
 
 class Settler:
@@ -121,7 +122,8 @@ class Settler:
             seconds = chunk.seconds / chunk.spp
         error = entry.job.relative_error if merged.chunks == set(entry.merged) else merged.relative_error()
         statistics = {key: Statistic(**value._asdict()) for key, value in merged.statistics().items()}
-        return merged, _Merged(tuple(sorted(merged.chunks)), merged.spp, merged.seconds, seconds, error, statistics)
+        chunks, warnings = tuple(sorted(merged.chunks)), merged.warnings()
+        return merged, _Merged(chunks, merged.spp, merged.seconds, seconds, error, statistics, warnings)
 
     def _context(self, job: Job) -> ContextState | None:
         """How far the context is that a job needs; *building* means that somebody is at it now."""
@@ -177,6 +179,7 @@ def _counted(entry: JobEntry, merged: _Merged, now: float) -> JobEntry:
         chunks_done=len(merged.chunks),
         relative_error=merged.error,
         statistics=merged.statistics,
+        image_warnings=merged.warnings,
         seconds_rendering=merged.seconds,
     )
     return update(entry, eta_seconds=None if entry.job.state in FINAL_STATES else eta_seconds(entry, now))

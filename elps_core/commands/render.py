@@ -131,9 +131,11 @@ def render(
         "choice": renderer.choice.report(),
         "relative_error": merged.relative_error(),
         "statistics": {name: statistic._asdict() for name, statistic in merged.statistics().items()},
-        "warnings": [*loaded.summary.warnings, *unreachable],
+        "warnings": [*loaded.summary.warnings, *unreachable, *merged.warnings()],
         "output": str(output),
     }
+    for warning in merged.warnings():
+        console.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
     for line in renderer.choice.lines():
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     relative = figures["relative_error"]

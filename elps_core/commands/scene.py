@@ -15,7 +15,7 @@ import typer
 
 from elps_core import options
 from elps_core.scene.generate import GENERATORS, SceneDescription, write
-from elps_core.settings import RenderSettings
+from elps_core.settings import UNLIMITED, RenderSettings
 
 if TYPE_CHECKING:
     from elps_core.scene.summary import SceneSummary
@@ -82,9 +82,9 @@ def _facts(summary: SceneSummary) -> Iterator[tuple[str, str]]:
             "integrator",
             f"{summary.defaults.integrator}: advice only, the job's own renders ('auto' if none is named)",
         )
-    for name in ("max_depth", "rr_depth"):
-        said = given.get(name)
-        yield name, f"{said}, as the file says" if said else f"{getattr(usual, name)}, because the file says none"
+    depth, begin = summary.defaults.max_depth, given.get("rr_depth")
+    yield "max_depth", "no limit: roulette ends paths" if depth == UNLIMITED else f"{depth}, as the file says"
+    yield "rr_depth", f"{begin}, as the file says" if begin else f"{usual.rr_depth}, because the file says none"
     if given.get("hide_emitters"):
         yield "emitters", "hidden from the camera, as the file says"
     if summary.defaults.samples:

@@ -27,8 +27,10 @@ random sample in each pixel has a standard deviation of half of its mean at most
 'mitchell')."""
 LEAST_SHARE = 0.25
 """What they are taken for at least, over their mean: over so many samples it is four standard deviations away."""
-_STATISTIC = "statistic "
-"""Prefix of the names of statistics in a record."""
+_STATISTIC, _LEFT_OUT = "statistic ", "left out "
+"""Prefixes of names in a record: of statistics, and of what is seen where samples were left out."""
+MOST_NAMED = 3
+"""Things that one warning names."""
 
 
 class Statistic(NamedTuple):
@@ -60,12 +62,15 @@ class Chunk:
     filtered: Image | None = None
     """Of filters whose weights are negative in places: the sum of the samples' weights over ``weight``, [height,
     width], 1 on average. Many chunks' images are divided by their mean of it: see :class:`Accumulation`."""
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    """Samples that were not finite and count nowhere, by what the camera sees where they fell."""
 
     def to_bytes(self) -> bytes:
         """The chunk as one safetensors record."""
         facts = np.array([self.index, self.spp, self.seconds], np.float64)
         statistics = {_STATISTIC + name: np.array([value], np.float64) for name, value in self.statistics.items()}
         record: dict[str, NDArray[Any]] = {"facts": facts, "image": self.image, "weight": self.weight, **statistics}
+        record |= _named(_LEFT_OUT, self.left_out)
         record["channels"] = _packed(self.channels)
         if self.filtered is not None:
             record["filtered"] = self.filtered
@@ -76,10 +81,12 @@ class Chunk:
         """The inverse of :meth:`to_bytes`."""
         record = load_tensors(data)
         index, spp, seconds = record["facts"]
-        statistics = {name: float(values[0]) for name, values in _statistics_in(record).items()}
+        statistics = {name: float(values[0]) for name, values in _in(record, _STATISTIC).items()}
         image, channels = record["image"], _unpacked(record["channels"])
         filtered = record.get("filtered")
-        return cls(int(index), int(spp), float(seconds), image, record["weight"], statistics, channels, filtered)
+        left_out = _counts_in(record)
+        weight = record["weight"]
+        return cls(int(index), int(spp), float(seconds), image, weight, statistics, channels, filtered, left_out)
 
 
 @dataclass
@@ -100,6 +107,8 @@ class Accumulation:
     spp: int = 0
     seconds: float = 0.0
     channels: tuple[str, ...] = RGB
+    left_out: dict[str, int] = field(default_factory=dict)
+    """Of all chunks: see :attr:`Chunk.left_out`."""
     _weight: NDArray[np.float64] = field(init=False, repr=False)
     _sum: NDArray[np.float64] = field(init=False, repr=False)
     _square: NDArray[np.float64] = field(init=False, repr=False)
@@ -148,6 +157,7 @@ class Accumulation:
         self.chunks.add(chunk.index)
         self.spp += chunk.spp
         self.seconds += chunk.seconds
+        self._leave_out(chunk.left_out)
         for name, value in chunk.statistics.items():
             if math.isfinite(value):  # a share of nothing says nothing
                 self._statistics.setdefault(name, []).append((float(chunk.spp), value))
@@ -162,7 +172,7 @@ class Accumulation:
 
         The factor must not depend on the samples themselves.
         """
-        other = replace(self, chunks=set(self.chunks))
+        other = replace(self, chunks=set(self.chunks), left_out=dict(self.left_out))
         other._weight, other._sum, other._square = (factor * part for part in (self._weight, self._sum, self._square))
         other._filtered = None if self._filtered is None else factor * self._filtered
         other._statistics = {name: list(values) for name, values in self._statistics.items()}
@@ -189,8 +199,24 @@ class Accumulation:
         self.chunks |= other.chunks
         self.spp += other.spp
         self.seconds += other.seconds
+        self._leave_out(other.left_out)
         for name, values in other._statistics.items():
             self._statistics.setdefault(name, []).extend(values)
+
+    def _leave_out(self, counts: Mapping[str, int]) -> None:
+        for name, count in counts.items():
+            self.left_out[name] = self.left_out.get(name, 0) + count
+
+    def warnings(self) -> tuple[str, ...]:
+        """What there is to say against the image, a line each."""
+        if not self.left_out:
+            return ()
+        count, samples = sum(self.left_out.values()), self.spp * self.width * self.height
+        named = sorted(self.left_out, key=lambda name: (-self.left_out[name], name))
+        others = [f"and {len(named) - MOST_NAMED} other things"] if len(named) > MOST_NAMED else []
+        seen = ", ".join([*named[:MOST_NAMED], *others])
+        what = f"{count:,} samples that are not finite are left out (the image has {samples:,})"
+        return (f"{what}: their pixels show {seen}; check these materials, and how bright the lights are",)
 
     def mean(self) -> Image:
         """The image, float32 [height, width, channels]; zeros where nothing was sampled."""
@@ -258,6 +284,7 @@ class Accumulation:
             "sum": self._sum,
             "square": self._square,
             **{_STATISTIC + name: np.array(values, np.float64) for name, values in self._statistics.items()},
+            **_named(_LEFT_OUT, self.left_out),
         }
         return save_tensors(record)
 
@@ -267,12 +294,12 @@ class Accumulation:
         record = load_tensors(data)
         width, height, spp, seconds = record["facts"]
         chunks, channels = {int(i) for i in record["chunks"]}, _unpacked(record["channels"])
-        result = cls(int(width), int(height), chunks, int(spp), float(seconds), channels)
+        result = cls(int(width), int(height), chunks, int(spp), float(seconds), channels, _counts_in(record))
         result._weight, result._sum, result._square = record["weight"], record["sum"], record["square"]
         result._filtered = record.get("filtered")
         result._statistics = {
             name: [(float(weight), float(value)) for weight, value in values]
-            for name, values in _statistics_in(record).items()
+            for name, values in _in(record, _STATISTIC).items()
         }
         return result
 
@@ -285,8 +312,16 @@ def _unpacked(names: NDArray[Any]) -> tuple[str, ...]:
     return tuple(names.tobytes().decode().split("\n"))
 
 
-def _statistics_in(record: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    return {key.removeprefix(_STATISTIC): values for key, values in record.items() if key.startswith(_STATISTIC)}
+def _named(prefix: str, counts: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+    return {prefix + name: np.array([count], np.int64) for name, count in counts.items()}
+
+
+def _in(record: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    return {key.removeprefix(prefix): values for key, values in record.items() if key.startswith(prefix)}
+
+
+def _counts_in(record: dict[str, NDArray[Any]]) -> dict[str, int]:
+    return {name: int(values[0]) for name, values in _in(record, _LEFT_OUT).items()}
 
 
 def _divide(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

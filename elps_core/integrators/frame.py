@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from elps_core.integrators.bdpt import Bdpt
 from elps_core.integrators.canvas import Canvas, corner, within
+from elps_core.integrators.leftout import Counts, LeftOut
 from elps_core.paths.nets import BLOCK, Nets
 from elps_core.paths.stream import opaque_key
 
@@ -28,6 +29,7 @@ class Frame:
 
     image: mi.TensorXf  # Mean radiance, linear RGB or bands, [height, width, channels]
     weight: mi.TensorXf  # What the eye paths of a pixel count when frames are merged, [height, width]
+    left_out: Counts  # Samples that were not finite, by pixel
     statistics: dict[str, float] = field(default_factory=dict)  # What the algorithm says of its work
     filtered: mi.TensorXf | None = None  # Of filters with lobes, see Chunk.filtered, [height, width]
 
@@ -46,13 +48,14 @@ class FrameRenderer:
         most = min(MAX_SAMPLES, max(1, MAX_STORE_BYTES // (max(1, self.bdpt.slots) * VERTEX_BYTES)))
         canvas, channels = self.canvas, self.canvas.channels
         eye, light = canvas.block(channels + 1), canvas.block(channels + 1)
+        left_out = LeftOut(canvas.size)
         before = 0
         for count, scale in ((lit_spp, spp / lit_spp), (spp - lit_spp, None)):
             total = canvas.pixels * count
             passes = -(-total // most)
             samples = -(-total // max(1, passes))
             for first in range(0, total, max(1, samples)):
-                self._render_pass(min(samples, total - first), before + first, key, scale, eye, light)
+                self._render_pass(min(samples, total - first), before + first, key, scale, eye, light, left_out)
                 dr.eval(eye.tensor(), light.tensor())
             before += total
         image, weight, filtered = canvas.divided(eye, spp)
@@ -61,6 +64,7 @@ class FrameRenderer:
         return Frame(
             mi.TensorXf(image, (*canvas.shape, channels)),
             mi.TensorXf(weight, canvas.shape),
+            left_out.counts,
             filtered=None if filtered is None else mi.TensorXf(filtered, canvas.shape),
         )
 
@@ -72,6 +76,7 @@ class FrameRenderer:
         light_scale: float | None,
         eye: mi.ImageBlock,
         light: mi.ImageBlock,
+        left_out: LeftOut,
     ) -> None:
         turns = -(-samples // LANES[dr.backend_v(mi.Float)]) if self.bdpt.max_depth > 1 else 1
         number = dr.arange(mi.UInt32, samples) + dr.opaque(mi.UInt32, first)
@@ -92,7 +97,9 @@ class FrameRenderer:
         ) -> None:
             # Four channels travel as one packet, three would not; most splats are shadowed and stay away.
             values = self.canvas.values(value, wavelengths)
-            light.put(where, [*values, mi.Float(0.0)], active & self.canvas.any(values))
+            active = left_out.keep(where, sum(values, mi.Float(0.0)), active & self.canvas.any(values))
+            light.put(where, [*values, mi.Float(0.0)], active)
 
         radiance, wavelengths = self.bdpt.trace(position, streams, splat, light_scale=light_scale, turns=turns)
-        eye.put(position, [*self.canvas.values(radiance, wavelengths), mi.Float(1.0)])
+        values = self.canvas.values(radiance, wavelengths)
+        eye.put(position, [*values, mi.Float(1.0)], left_out.keep(position, sum(values, mi.Float(0.0))))

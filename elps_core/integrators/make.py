@@ -65,6 +65,8 @@ def paths_of(
 ) -> Bdpt:
     """The paths that ``settings`` ask for; errors as of :func:`frames`."""
     strategies = chosen(settings, aperture=camera.has_aperture)
+    if not strategies.light_paths:
+        lights = lights.of_emitters()
     region_lights = _region_lights(settings, lights, parts)
     by_context = "context" in (settings.direction_sampling, settings.light_sampling)
     if parts and parts.departures and strategies.light_paths and by_context:

@@ -16,6 +16,7 @@ import numpy as np
 from elps_core.integrators.bdpt import Bdpt, Splat
 from elps_core.integrators.chains import PixelWeight, Target, alike
 from elps_core.integrators.frame import LANES, Frame, FrameRenderer
+from elps_core.integrators.leftout import FiniteTarget, LeftOut
 from elps_core.integrators.metropolis import Metropolis
 from elps_core.integrators.multiplexed import SHORTEST, START_NUMBERS, Multiplexed, head_numbers, step_numbers
 from elps_core.paths import strategies
@@ -70,20 +71,24 @@ class MetropolisFrames:
         self._direct = FrameRenderer(bdpt.selecting(strategies.path(next_event=False), max_depth=1), film)
         self._visible = emission.has_surface or emission.has_environment
         self._chains: Metropolis | None = None
+        self._left_out = LeftOut(self._direct.canvas.size)
         if bdpt.max_depth >= SHORTEST:
             target: Target = Multiplexed(bdpt) if settings.multiplexed else Samples(bdpt)
-            self._chains = Metropolis(target, settings, weight)
+            self._chains = Metropolis(FiniteTarget(target, self._left_out), settings, weight)
 
     def render(self, spp: int, key: tuple[int, ...]) -> Frame:
         """``spp`` mutations per pixel by a set of chains of its own, named by ``key``."""
         canvas = self._direct.canvas
         image, weight = dr.zeros(mi.TensorXf, (*canvas.shape, 3)), mi.TensorXf(canvas.coverage(), canvas.shape)
         filtered: mi.TensorXf | None = None
+        self._left_out.begin()
+        left_out = self._left_out.counts
         if self._visible:
             samples = -(-spp // DIRECT_SHARE)
             seen = self._direct.render(samples, (*key, 0))
             # Frames are merged as those of eye paths: by weights that do not depend on what the chains find.
             image, weight, filtered = seen.image, seen.weight / samples, seen.filtered
+            left_out = seen.left_out
         if self._chains:
             block = canvas.block(4)
 
@@ -96,4 +101,5 @@ class MetropolisFrames:
             # What the chains put adds up to the film's mean, and not to a sum over pixels.
             shown = canvas.spread(block, 1.0 / canvas.pixels, 3, None if filtered is None else filtered.array)
             image = image + mi.TensorXf(shown, (*canvas.shape, 3))
-        return Frame(image, weight * float(spp), self.statistics, filtered)
+            left_out = left_out + self._left_out.counts
+        return Frame(image, weight * float(spp), left_out, self.statistics, filtered)

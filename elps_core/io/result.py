@@ -35,7 +35,7 @@ def write_result(
     ``scene``, ``render`` and ``context`` are digests. The attributes are enough to make the image
     again: settings, seed, digests, chunks, samples, versions. They also say what the algorithm told of
     its work (``statistic:NAME`` and its ``statistic:NAME:standardError``), and what the image lacks
-    (``unreachable``, see :mod:`elps_core.scene.reach`).
+    (``unreachable``, see :mod:`elps_core.scene.reach`), or what else there is to say against it (``warnings``).
 
     Raises:
         ImageUnwritable: nothing was written.
@@ -63,6 +63,8 @@ def write_result(
         attributes["preliminary"] = "by plain paths: the context is not there yet"
     if unreachable:
         attributes["unreachable"] = "; ".join(unreachable)
+    if merged.warnings():
+        attributes["warnings"] = "; ".join(merged.warnings())
     for name, statistic in merged.statistics().items():
         attributes[f"statistic:{name}"] = statistic.mean
         if statistic.standard_error is not None:

@@ -41,6 +41,12 @@ TIE = 1.5
 """Preference of the maximum heuristic for one light vertex more. Where densities are equal, as between diffuse
 surfaces of one sphere, rounding would else decide, and decide differently for each strategy; rays that start off
 the surface move densities by percents between points close together, so that 1.01 lost 1.4e-4 of the light."""
+MOST_DENSITY = 1e18
+"""Greatest density and density ratio that is told from greater ones: its square is a number in single precision."""
+MOST_RATIO = 1e36
+"""The same of sums and products of their powers. Smooth hair and nearly smooth metals have densities from 1e-20 to
+1e10, whose powers would come to infinity after a few bounces, and infinity times a density of 0 is not a number. A
+strategy so much likelier takes all of the light either way."""
 
 
 @dataclass
@@ -85,7 +91,8 @@ class Heuristic:
     def arrive(self, partial: Partial, distance2: mi.Float, cos_in: mi.Float) -> Partial:
         """After a segment of squared length ``distance2``, hitting a surface under ``cos_in`` (geometric)."""
         inv_cos = self.power(dr.rcp(cos_in))
-        return Partial(partial.dvcm * self.power(distance2) * inv_cos, [ratio * inv_cos for ratio in partial.dvc])
+        dvcm = partial.dvcm * self.power(distance2) * inv_cos
+        return Partial(_bounded(dvcm), [_bounded(ratio * inv_cos) for ratio in partial.dvc])
 
     def scatter(
         self,
@@ -150,6 +157,7 @@ class Heuristic:
 
     def power(self, density: mi.Float) -> mi.Float:
         """A density or density ratio as this heuristic counts it."""
+        density = dr.minimum(density, MOST_DENSITY)
         return density * density if self.kind == "power" else density
 
     def _joined(self, head: mi.Float, first: mi.Bool | None) -> mi.Float:
@@ -157,15 +165,20 @@ class Heuristic:
 
     def _gather(self, head: mi.Float, scale: mi.Float, tail: Ratios, side: Side) -> Ratios:
         """One more strategy ``head`` before the scaled ``tail``."""
+        scale = _bounded(scale)
         if self.kind == "cutoff":
-            return [head, *(scale * ratio for ratio in tail[: self.length - 1])]
+            return [_bounded(head), *(_bounded(scale * ratio) for ratio in tail[: self.length - 1])]
         if not tail:
             return [head * self._tie(side)]
         if self.kind == "maximum":
-            return [dr.maximum(head, scale * tail[0]) * self._tie(side)]
-        return [dr.fma(scale, tail[0], head)]
+            return [_bounded(dr.maximum(head, scale * tail[0]) * self._tie(side))]
+        return [_bounded(dr.fma(scale, tail[0], head))]
 
     def _tie(self, side: Side) -> float:
         if self.kind != "maximum":
             return 1.0
         return 1.0 / TIE if side == "light" else TIE
+
+
+def _bounded(ratio: mi.Float) -> mi.Float:
+    return dr.minimum(ratio, MOST_RATIO)

@@ -106,7 +106,7 @@ class Materials:
             return Scattering(value, pdf, pdf_rev)
 
         found: Scattering = self._ask(ask, si, wo, active)
-        found.value = found.value * (cos_out / _cos_in(si))
+        found.value = found.value * _over_cos_in(cos_out, si)
         return found
 
     def sample_from_eye(
@@ -144,7 +144,7 @@ class Materials:
             return Scattered(sample.wo, weight, sample.pdf, pdf_rev, sample.eta, delta, weight)
 
         found: Scattered = self._ask(ask, si, u_lobe, u, active)
-        found.weight = found.weight * (dr.abs(dr.dot(si.to_world(found.wo), si.n)) / _cos_in(si))
+        found.weight = found.weight * _over_cos_in(dr.abs(dr.dot(si.to_world(found.wo), si.n)), si)
         found.albedo = found.weight
         return found
 
@@ -195,7 +195,7 @@ class Materials:
         # What a given direction passes through is not told; it matters for roulette by throughput only.
         event.eta = dr.select(given, 1.0, event.eta)
         if side == "light":
-            event.weight = event.weight * (dr.abs(dr.dot(si.to_world(event.wo), si.n)) / _cos_in(si))
+            event.weight = event.weight * _over_cos_in(dr.abs(dr.dot(si.to_world(event.wo), si.n)), si)
         return event
 
 
@@ -245,5 +245,7 @@ def _reversed(si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.SurfaceInterac
     return other
 
 
-def _cos_in(si: mi.SurfaceInteraction3f) -> mi.Float:
-    return dr.abs(dr.dot(si.to_world(si.wi), si.n))
+def _over_cos_in(cos_out: mi.Float, si: mi.SurfaceInteraction3f) -> mi.Float:
+    """``cos_out`` over the cosine of the direction that the path comes from; 0 where it comes along the surface."""
+    cos_in = dr.abs(dr.dot(si.to_world(si.wi), si.n))
+    return dr.select(cos_in > 0.0, cos_out / cos_in, 0.0)

@@ -67,10 +67,15 @@ class RegionLights:
     """A density of light points for every region: Dirac, area or solid angle, as of :class:`StartDensity`."""
 
     def __init__(self, lights: StartDensity, table: NDArray[np.float32]) -> None:
-        """``table`` [regions, pieces] holds weights; one without any weight counts as even."""
-        regions, count = table.shape
-        if count != pieces(lights) or not count:
+        """``table`` [regions, pieces] holds weights; one without any weight counts as even.
+
+        Where ``lights`` draws whole emitters, the table's pieces of each count together.
+        """
+        count = pieces(lights)
+        regions, finer = table.shape
+        if not count or not finer or finer % count:
             raise ContextMismatch("the context belongs to a scene with other lights: build it again for this scene")
+        table = table.reshape(regions, count, finer // count).sum(axis=2)
         self.lights = lights
         self._per_emitter = max(1, count // lights.emission.count)
         values = on_device(mi.Float, table)

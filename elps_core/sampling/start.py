@@ -76,6 +76,18 @@ class StartDensity:
         other._departures = departures
         return other
 
+    def of_emitters(self) -> StartDensity:
+        """The same chance of each emitter, with its points as F draws them.
+
+        The part of a lamp that lights most of the image is not the part that lights a given point: next event
+        estimation by cells had up to a third more variance (a door ajar, a classroom) and nowhere less.
+        """
+        return (
+            self
+            if self.flat and self.rows == 1
+            else StartDensity(self.emission, self.steps()[None, :].astype(np.float64))
+        )
+
     def sample(
         self,
         u_cell: mi.Point2f,

@@ -1,7 +1,8 @@
 """What a scene file says of how it is to be rendered: advice, which settings of a job may overrule. Imports no Mitsuba.
 
 An integrator decides nothing of what the scene is. Its parameters that our settings have become the defaults of a
-job, and so do the samples of the sampler; an integrator that is not known is warned about.
+job, and so do the samples of the sampler; an integrator that is not known is warned about. A file that says nothing of
+the length of paths means paths without limit, as in Mitsuba: a limit of our own would make its image darker.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def take(integrators: list[Node], samplers: list[Node]) -> tuple[FileDefaults, l
         samplers: the samplers of its cameras.
     """
     warnings: list[str] = []
-    values: dict[str, int | bool | str] = {}
+    values: dict[str, int | bool | str] = {"max_depth": UNLIMITED}
     counts = {count for node in samplers if (count := _whole(node, "sample_count")) is not None and count > 0}
     if counts:
         values["samples"] = max(counts)

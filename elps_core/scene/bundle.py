@@ -114,6 +114,15 @@ def unpack(upload: Path, into: Path, limits: BundleLimits = DEFAULT_LIMITS) -> U
         raise
 
 
+def may_be_used(name: str) -> bool:
+    """Whether a scene has a use for a file of that name; others are left out of bundles."""
+    return _extension(name) in READ_BY_MITSUBA | TEXT
+
+
+def _extension(name: str) -> str:
+    return PurePosixPath(name).suffix.removeprefix(".").casefold()
+
+
 def is_archive(upload: Path) -> bool:
     """Whether the file begins as a zip archive does; names and extensions are not asked.
 
@@ -214,13 +223,12 @@ class _Names:
         # Every dot counts: "evil.so.1" and "evil.py.txt" are refused as well.
         if CODE.intersection(keys[-1].split(".")[1:]):
             raise SceneRejected(f"{label}: a scene may not bring program code")
-        extension = PurePosixPath(keys[-1]).suffix.removeprefix(".")
-        if extension in ARCHIVES:
+        if _extension(keys[-1]) in ARCHIVES:
             raise SceneRejected(f"{label}: an archive in a bundle is not unpacked: put its files into the bundle")
         if parts[0] == JUNK_FOLDER or parts[-1] in JUNK_FILES:
             return None
         self._check_collisions(keys, label)
-        if extension not in READ_BY_MITSUBA | TEXT:
+        if not may_be_used(keys[-1]):
             self.ignored.append(shown(name))
             return None
         return PurePosixPath(*parts)

@@ -8,6 +8,7 @@ import unicodedata
 from pathlib import Path
 
 from elps_core.errors import SceneRejected
+from elps_core.scene.bundle import may_be_used
 from elps_core.scene.text import is_plain, shown
 
 MAX_FOLDERS = 64
@@ -65,8 +66,11 @@ class Files:
         label = f"{label}: the file '{shown(name)}'"
         found = self._found(name, label, self._folders)
         if found is None:
-            where = "there" if self._local else "in the bundle"
-            raise SceneRejected(f"{label} is not {where}")
+            if self._local:
+                raise SceneRejected(f"{label} is not there")
+            if not may_be_used(name):
+                raise SceneRejected(f"{label} is of a kind that is left out of bundles: convert it, to PNG, EXR or PLY")
+            raise SceneRejected(f"{label} is not in the bundle")
         return found
 
     def name_of(self, path: Path) -> str:

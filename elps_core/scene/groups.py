@@ -33,10 +33,14 @@ class _Parts(mi.TraversalCallback):
 
 def every_shape(scene: mi.Scene) -> list[mi.Shape]:
     """All shapes that rays can meet: ``scene.shapes()`` holds instances in place of what these repeat."""
-    shapes = scene.shapes()
-    if all(shape.class_name() != "Instance" for shape in shapes):
+    return with_parts(scene.shapes())
+
+
+def with_parts(shapes: list[mi.Shape]) -> list[mi.Shape]:
+    """Shapes and those that they repeat, each once."""
+    if all(shape.class_name() not in ("Instance", "ShapeGroup") for shape in shapes):
         return list(shapes)
-    return list(dict.fromkeys([*shapes, *_parts(scene)]))
+    return list(dict.fromkeys([*shapes, *(part for shape in shapes for part in _parts(shape))]))
 
 
 def local_reach(scene: mi.Scene) -> float:

@@ -45,6 +45,7 @@ _MEDIUM = (
     "the scene has participating media, which path, light, bdpt, pssmlt and mi_path leave out: "
     "choose mi_volpath to see them"
 )
+_NO_CAMERA = "the scene has no <sensor>: a camera stands in front of it, looks along z and sees all of it"
 _NO_SURFACE = ("instance", "shapegroup")
 """Shapes whose surfaces are those of others."""
 _TOO_LARGE = "the scene needs more memory than there is: make its meshes and images smaller"
@@ -73,6 +74,8 @@ class CanonicalScene:
     """What the file says of its render."""
     integrators: tuple[Node, ...]
     """Those of the scene file, which say it."""
+    framed: bool
+    """Whether the file has no camera, and one is to be put where it sees all shapes."""
     warnings: tuple[str, ...]
 
 
@@ -190,9 +193,16 @@ def canonicalize(
     scene = document.root
     integrators = [child for child in scene.children if child.tag == "integrator"]
     scene.children = [child for child in scene.children if child.tag != "integrator"]
+    _flatten(scene)
     rules.check(scene)
     objects = scene.objects()
     defaults, warnings = advice.take(integrators, [node for node in objects if node.tag == "sampler"])
+    sensors = _sensors(objects)
+    framed = not sensors
+    if framed:
+        sensors = [Node("sensor", {"type": "perspective"}, scene.line)]
+        scene.children += sensors
+        warnings.append(_NO_CAMERA)
     absolute: dict[int, str] = {}
     hashed: dict[int, str] = {}
     checked: dict[tuple[str, str, int], _File] = {}
@@ -213,7 +223,6 @@ def canonicalize(
             hashed[id(node)] = f"sha256:{file.content}{path.suffix.lower()}"
     digest = scene_digest(markup.write(scene, hashed)[0])
     surroundings = surroundings_digest(markup.write(_without_sensors(scene), hashed)[0])
-    sensors = _sensors(objects)
     if sensor not in range(len(sensors)):
         raise SceneRejected(f"the scene has {len(sensors)} sensors, counted from 0: there is no sensor {sensor}")
     if size is not None:
@@ -231,8 +240,22 @@ def canonicalize(
         document.parameters,
         defaults,
         tuple(integrators),
+        framed,
         (*document.warnings, *few(files.warnings), *few(warnings)),
     )
+
+
+def _flatten(node: Node) -> None:
+    """Put the shapes of each ``merge`` in its place: meshes of one material become one in any case."""
+    whole: list[Node] = []
+    for child in node.children:
+        _flatten(child)
+        merges = child.tag == "shape" and child.type == "merge"
+        if merges and all(part.tag == "shape" and "name" not in part.attributes for part in child.children):
+            whole += child.children
+        else:
+            whole.append(child)
+    node.children = whole
 
 
 def _without_sensors(root: Node) -> Node:
@@ -285,7 +308,7 @@ def _check_file(
         content = contents[path] = contents.get(path) or file_hash(file)
         given, opened = path, file
         try:
-            mended = headers.mended(kind, file)
+            mended = headers.mended(kind, file, str(path))
             if mended is not None:
                 data, told = mended
                 folder = scratch or Path(until_checked.enter_context(tempfile.TemporaryDirectory()))
@@ -303,12 +326,10 @@ def _sensors(objects: list[Node]) -> list[Node]:
     """Cameras that can render, in order; those inside a batch belong to it.
 
     Raises:
-        SceneRejected: there is none, or a film is too large.
+        SceneRejected: a film is too large.
     """
     inside = {id(part) for node in objects if node.tag == "sensor" for part in node.objects()[1:]}
     sensors = [node for node in objects if node.tag == "sensor" and id(node) not in inside]
-    if not sensors:
-        raise SceneRejected("the scene has no <sensor>: add a camera")
     for film in objects:
         if film.tag == "film":
             rules.film_size(film)
@@ -343,7 +364,7 @@ class _Made:
 
 
 def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
-    from elps_core.scene import merging, placement, placing  # here: they need the variant that is set by now
+    from elps_core.scene import groups, merging, placement, placing  # here: they need the variant that is set by now
 
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
@@ -362,7 +383,7 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
             placing.place(state, measuring)
         names, maps = merging.candidates(state), placing.file_maps(state)
         parts = merging.make_parts(config, state)
-        triangles = measure.triangles(merging.shapes_of(parts))
+        triangles = measure.triangles(groups.with_parts(merging.shapes_of(parts)))
         placed = placement.measured(merging.shapes_of(parts), measuring)
         coarse = placement.coarse_meshes(parts, maps)
         if not placed.puts_as(measuring):
@@ -374,6 +395,8 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
             placing.place_made(merging.shapes_of(parts), placed)
         parts = merging.merge(parts, names)
         scene = merging.make_scene(parts)
+        if canonical.framed:
+            placement.frame(scene)
         placement.approach(scene)
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OverflowError, MemoryError) as error:
         if isinstance(error, MemoryError) or "bad_alloc" in str(error):

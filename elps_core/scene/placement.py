@@ -31,6 +31,8 @@ APPROACH = 10.0
 """Distance of a camera, over the radius of the ball around all shapes, from which on its near clip plane is moved."""
 MARGIN = 1.01
 """Radius of the ball that near clip planes are moved up to, over that around all shapes: rounding must not cut them."""
+FRAME_ANGLE = 45.0
+"""Field of view of a camera that has to see all of a scene, in degrees: that of the human eye, and Mitsuba's own."""
 _PLANES = frozenset({"PerspectiveCamera", "ThinLensCamera", "OrthographicCamera"})
 """Cameras that have a near clip plane."""
 MOST_REMOTE = 1e4
@@ -152,6 +154,22 @@ def approach(scene: mi.Scene) -> None:
             # Of parallel rays the range from the near clip plane on counts.
             parameters["far_clip"] = far + (gap / unit - gap) if sensor.class_name() == "OrthographicCamera" else far
             parameters.update()
+
+
+def frame(scene: mi.Scene) -> None:
+    """Put the only camera where it sees all shapes: in front of the least z and looking along z, as Mitsuba 2 did."""
+    corners = np.array([scene.bbox().min, scene.bbox().max], np.float64)
+    if not scene.shapes() or not np.isfinite(corners).all():
+        return
+    parameters = mi.traverse(scene.sensors()[0])
+    extent = float((corners[1] - corners[0]).max())
+    distance = float(extent / (2.0 * np.tan(np.radians(FRAME_ANGLE) / 2.0)))
+    x, y, _ = corners.mean(axis=0)
+    place = mi.ScalarAffineTransform4d().translate([x, y, corners[0, 2] - distance])
+    parameters["x_fov"] = FRAME_ANGLE
+    parameters["to_world"] = mi.Transform4f(place.matrix)
+    parameters["near_clip"], parameters["far_clip"] = distance / 100.0, distance + 5.0 * extent
+    parameters.update()
 
 
 def in_steps(centre: Matrix, size: float) -> tuple[float, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,19 @@ import pytest
 
 from elps_core import device
 from elps_core.settings import Roulette
+from tests.core.tiers import is_thorough
 from tests.rendering import Table, render
 
 Array = np.ndarray[Any, Any]
+HERE = Path(__file__).parent
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what `make test` leaves out."""
+    for item in items:
+        if item.path.is_relative_to(HERE) and is_thorough(item.path.relative_to(HERE).as_posix(), item.name):
+            item.add_marker(pytest.mark.thorough)
 
 
 @pytest.fixture

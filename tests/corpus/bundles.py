@@ -105,7 +105,7 @@ ENTRIES = [
     _bundle("no scene", Refused(("no XML file",), on_purpose=True), FILES, xml="scene.xml.bak"),
     _bundle(
         "an image of another program",
-        Refused(('<texture type="bitmap">', "line", "'textures/wood.webp'")),
+        Refused(('<texture type="bitmap">', "line", "'textures/wood.webp'", "convert it")),
         {**FILES, "textures/wood.webp": b"RIFF"},
         TEXTURED.replace("wood.png", "wood.webp"),
     ),

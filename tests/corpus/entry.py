@@ -30,7 +30,7 @@ class Loads:
     sizes: tuple[tuple[int, int], ...] = (SIZE,)
     """Width and height of the image of each camera."""
     defaults: Mapping[str, object] = field(default_factory=dict)
-    """What the file says of its render."""
+    """What the file says of its render, but for paths without limit, which a file means that does not limit them."""
     parameters: Mapping[str, str] = field(default_factory=dict)
     ignored: tuple[str, ...] = ()
 
@@ -43,7 +43,7 @@ class Loads:
             "emitters": (self.emitters, " ".join(" ".join([e.type] * e.count) for e in summary.emitters)),
             "bsdfs": (self.bsdfs, " ".join(summary.bsdfs)),
             "sizes": (self.sizes, tuple((sensor.width, sensor.height) for sensor in summary.sensors)),
-            "defaults": (dict(self.defaults), summary.defaults.model_dump(exclude_none=True)),
+            "defaults": ({"max_depth": -1, **self.defaults}, summary.defaults.model_dump(exclude_none=True)),
             "parameters": (dict(self.parameters), {p.name: p.value for p in summary.parameters}),
             "ignored": (self.ignored, summary.ignored),
         }

@@ -28,7 +28,7 @@ CAMERA = """
 		</film>
 	</sensor>
 """
-SAID = {"integrator": "path", "max_depth": -1, "samples": 64}
+SAID = {"integrator": "path", "samples": 64}
 BANNER = ("banner",)
 WHITE = "<rgb> for neutral white"
 

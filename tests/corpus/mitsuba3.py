@@ -124,9 +124,7 @@ CROPPED = CAMERA[: CAMERA.index("<film")] + FORMATS + "</sensor>"
 SHARED_FILM = CAMERA[: CAMERA.index("<film")] + '<ref id="film"/></sensor>'
 FILM = '<film type="hdrfilm" id="film"><integer name="width" value="8"/><integer name="height" value="4"/></film>'
 CUBE = '<shape type="cube"/>'
-SPECIAL = """
-    <shape type="rectangle"><bsdf type="diffuse"><texture type="mesh_attribute" name="reflectance">
-        <string name="name" value="vertex_color"/></texture></bsdf></shape>
+MERGED = """
     <shape type="merge"><shape type="cube"/><shape type="rectangle"/></shape>
 """
 
@@ -222,11 +220,8 @@ ENTRIES = [
     ),
     Entry(
         "shapes merged in the file",
-        _scene(SPECIAL, LIGHT),
-        Refused(
-            ('<shape type="merge">', "line", "is not one that a scene may use", "take its parts out of it"),
-            on_purpose=True,
-        ),
+        _scene(MERGED, LIGHT),
+        Loads(2, 14, "constant"),
     ),
     Entry(
         "a parameter that is wrong",

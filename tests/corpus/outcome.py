@@ -50,7 +50,8 @@ class Contents:
     emitters: int
     sensors: int
     bounds: NDArray[np.float64]
-    """Bounding box as its two corners, seen from the first camera, in the scene's own units [2, 3]."""
+    """Bounding box as its two corners, seen from the first camera, in the scene's own units [2, 3]; seen from its own
+    corner where the file has no camera."""
 
     def differences(self, other: Contents) -> list[str]:
         """Lines that say in what the two differ."""
@@ -66,26 +67,30 @@ class Contents:
         return lines
 
 
-def contents(scene: Any, scale: float = 1.0) -> Contents:
+def contents(scene: Any, cameras: int, scale: float = 1.0) -> Contents:
     """Count what is in a scene.
 
     Args:
         scene: a Mitsuba scene.
+        cameras: how many of its cameras come from the file: all, or none.
         scale: how much larger it is than its file says.
     """
     shapes = scene.shapes()
     meshes = [shape for shape in shapes if shape.is_mesh()]
-    eye = np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4)[:3, 3]
-    corners = np.array([scene.bbox().min, scene.bbox().max], np.float64) if shapes else np.zeros((2, 3)) + eye
+    corners = np.array([scene.bbox().min, scene.bbox().max], np.float64) if shapes else np.zeros((2, 3))
+    eye = corners[0]
+    if shapes and cameras:
+        eye = np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4)[:3, 3]
     return Contents(
         sum(int(mesh.face_count()) for mesh in meshes),
         len(shapes) - len(meshes),
         len(scene.emitters()),
-        len(scene.sensors()),
+        len(scene.sensors()) if cameras else 0,
         (corners - eye) / scale,
     )
 
 
 def differences(loaded: LoadedScene, theirs: Any) -> list[str]:
     """In what a scene that both load differs."""
-    return contents(loaded.scene, loaded.scale).differences(contents(theirs))
+    cameras = len(theirs.sensors())
+    return contents(loaded.scene, cameras, loaded.scale).differences(contents(theirs, cameras))

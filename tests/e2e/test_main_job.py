@@ -278,7 +278,7 @@ def test_trials_choose_what_renders_and_serve_the_next_job(http: httpx.Client, c
                 client.cancel(id_)
         jobs.append(http.get(f"/v1/jobs/{id_}").json())
     first, second = jobs
-    assert first["seconds_loading"] > 0.0 < first["seconds_compiling"]
+    assert first["seconds_loading"] > 0.0
     assert first["settings"]["integrator"] == "auto"
     compared = {entry["name"] for entry in first["choice"]["trials"]}
     assert {"path, plain"} <= compared <= set(CANDIDATES)

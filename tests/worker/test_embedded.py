@@ -16,8 +16,10 @@ from tests.worker.conftest import wait_for
 from worker.embedded import EmbeddedServer
 from worker.errors import FarmUnavailable
 
+# Programs that a shell has put into the background ignore interrupts, and so does what they start.
 OWNER = """
-import sys, time
+import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from worker.embedded import EmbeddedServer
 server = EmbeddedServer()
 print(server.url, flush=True)

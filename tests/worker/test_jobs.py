@@ -313,12 +313,14 @@ def test_a_job_tells_what_its_image_lacks_and_what_its_algorithm_says(
     # Chunks as another worker leaves them: the job merges them and renders nothing.
     grey = np.full((32, 32, 3), 0.5, np.float32)
     for index, brightness in enumerate((0.4, 0.6)):
-        chunk = Chunk(index, 1, 0.1, grey, grey[..., 0], {"brightness": brightness})
+        chunk = Chunk(index, 1, 0.1, grey, grey[..., 0], {"brightness": brightness}, left_out={"'ball'": 3})
         parts.store.put(chunk_key(first.digest, index), chunk.to_bytes())
     again = farm.submit(glass.digest, asked, StopCriterion(samples=2))
     hire()
     for job in (finished(farm, first.id), finished(farm, again.id)):
         assert (job.state, job.chunks_done, job.warnings) == ("completed", 2, first.warnings)
+        assert len(job.image_warnings) == 1
+        assert job.image_warnings[0].startswith("6 samples that are not finite are left out (the image has 2,048)")
         assert job.statistics["brightness"].mean == pytest.approx(0.5)
         assert job.statistics["brightness"].standard_error == pytest.approx(0.1)
     image = farm.image(again.id)
@@ -327,6 +329,7 @@ def test_a_job_tells_what_its_image_lacks_and_what_its_algorithm_says(
     path.write_bytes(image.data)
     _, attributes = read_exr(path)
     assert attributes["unreachable"] == first.warnings[0]
+    assert "their pixels show 'ball'" in str(attributes["warnings"])
     assert attributes["statistic:brightness"] == pytest.approx(0.5)
     assert attributes["statistic:brightness:standardError"] == pytest.approx(0.1)
     assert RenderSettings.model_validate_json(str(attributes["settings"])) == asked

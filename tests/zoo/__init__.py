@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tests.zoo import emitters, geometry, materials
+from tests.zoo import emitters, geometry, materials, rooms
 from tests.zoo.entry import ALGORITHMS, Entry
 
-_BASE = {entry.name: entry for entry in (*emitters.ENTRIES, *materials.ENTRIES, *geometry.ENTRIES)}
+_BASE = {entry.name: entry for entry in (*emitters.ENTRIES, *materials.ENTRIES, *geometry.ENTRIES, *rooms.ENTRIES)}
 
 
 def _in(name: str, variant: str) -> Entry:

@@ -80,6 +80,14 @@ def filter_mitchell(mi: Any, folder: Path) -> Dict:
     return scene(mi, sensor=camera(mi, of_film=film(rfilter={"type": "mitchell"})), ball=ball(METAL))
 
 
+def filter_lanczos(mi: Any, folder: Path) -> Dict:
+    return scene(mi, sensor=camera(mi, of_film=film(rfilter={"type": "lanczos"})), ball=ball(METAL))
+
+
+def filter_catmullrom(mi: Any, folder: Path) -> Dict:
+    return scene(mi, sensor=camera(mi, of_film=film(rfilter={"type": "catmullrom"})), ball=ball(METAL))
+
+
 def filter_tent(mi: Any, folder: Path) -> Dict:
     return scene(mi, sensor=camera(mi, of_film=film(rfilter={"type": "tent", "radius": 1.5})))
 
@@ -252,6 +260,8 @@ ENTRIES = [
     Entry("crop", crop_box, "crop window with bright surroundings"),
     Entry("crop-gaussian", crop_gaussian, "crop window with a Gaussian filter"),
     Entry("filter-mitchell", filter_mitchell, "Mitchell filter, whose lobes are negative"),
+    Entry("filter-lanczos", filter_lanczos, "Lanczos filter of three lobes"),
+    Entry("filter-catmullrom", filter_catmullrom, "Catmull-Rom filter, whose lobes are negative"),
     Entry("filter-tent", filter_tent, "wide tent filter"),
     Entry("vertex-normals", vertex_normals, "interpolated vertex normals, two-sided diffuse"),
     Entry("vertex-normals-glass", vertex_normals_glass, "interpolated vertex normals, rough glass", max_depth=7),

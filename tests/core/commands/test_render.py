@@ -121,6 +121,22 @@ def test_light_that_is_lost_is_told_everywhere(tmp_path: Path) -> None:
     assert "unreachable" not in read_exr(output)[1]
 
 
+def test_samples_that_are_not_finite_are_told_everywhere(tmp_path: Path) -> None:
+    scene, output = tmp_path / "bright.xml", tmp_path / "image.exr"
+    lamp = (
+        '<boolean name="flip_normals" value="true"/><emitter type="area"><rgb name="radiance" value="3e38"/></emitter>'
+    )
+    scene.write_text(GLASS.replace('<shape type="sphere">', f'<shape type="sphere" id="lamp">{lamp}'))
+    options = ("--integrator", "path", "--light-sampling", "power", "--size", "8x6", "--spp", "2", "--json")
+    done = elps("render", str(scene), "-o", str(output), *options)
+    assert done.returncode == 0, done.stderr
+    (warning,) = (line for line in json.loads(done.stdout.strip().splitlines()[-1])["warnings"] if "finite" in line)
+    assert "96 samples that are not finite are left out (the image has 96)" in warning
+    assert "'lamp' of SmoothDielectric" in warning
+    assert f"warning: {warning}" in done.stderr.splitlines()
+    assert read_exr(output)[1]["warnings"] == warning
+
+
 @pytest.mark.parametrize(
     "options",
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -175,3 +176,19 @@ def test_quotients_of_sums_know_their_error() -> None:
         ratios.append(((merged.mean() - 2.0) ** 2).mean() / (merged.standard_error() ** 2).mean())
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
     assert merged.weighted(0.5).mean() == pytest.approx(merged.mean(), rel=1e-6)
+
+
+def test_what_was_left_out_is_summed_and_told_once() -> None:
+    rng = np.random.default_rng(6)
+    counts: tuple[dict[str, int], ...] = ({"a": 2, "b": 5}, {}, {"a": 10_000, "c": 1, "d": 1})
+    chunks = [replace(chunk(index, 4, rng), left_out=left_out) for index, left_out in enumerate(counts)]
+    merged, other = Accumulation.empty(5, 4), Accumulation.empty(5, 4)
+    assert merged.warnings() == ()
+    merged.add(Chunk.from_bytes(chunks[0].to_bytes()))
+    other.add_all(chunks[1:])
+    merged.merge(Accumulation.from_bytes(other.weighted(0.5).to_bytes()))
+    assert merged.left_out == {"a": 10_002, "b": 5, "c": 1, "d": 1}
+    assert other.left_out == counts[2]
+    (warning,) = merged.warnings()
+    assert "10,009 samples that are not finite are left out (the image has 240)" in warning
+    assert "their pixels show a, b, c, and 1 other things" in warning

@@ -16,6 +16,7 @@ from tests.zoo import ALGORITHMS, ZOO
 COVERED = {
     *("area-rectangle", "area-sphere", "spot", "directional", "roughconductor", "closed-room", "cornell", "door"),
     *("crop", "far-clip", "filter-tent", "vertex-normals", "roughconductor, spectral", "area-textured, spectral"),
+    *("room-far-away", "room-tiny", "room-camera-far", "room-lamp-far", "filter-catmullrom"),
 }
 """What other scenes of the suite cover as well: left to the validation run, because the suite has ten minutes."""
 CHOICE = {

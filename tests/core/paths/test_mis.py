@@ -86,3 +86,36 @@ def test_weights_of_joins_are_those_of_the_definition(mi: Any, kind: HeuristicKi
             assert np.isclose(found, weights[s], rtol=1e-3, atol=1e-6)[joined].mean() > 0.999
         else:
             assert np.allclose(found[joined], weights[s][joined], rtol=2e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["balance", "power", "maximum", "cutoff"])
+def test_weights_are_numbers_whatever_densities_are(mi: Any, kind: HeuristicKind) -> None:
+    """Smooth hair has densities of 1e-20 beside 1e10: squared over a few bounces they leave single precision."""
+    import drjit as dr
+
+    from elps_core.paths.mis import Heuristic, Partial
+
+    rng = np.random.default_rng(6)
+
+    def extreme() -> Any:
+        """From 1e-30 to 1e30, and 0 in some."""
+        exponent = rng.uniform(-30.0, 30.0, PATHS)
+        return mi.Float(np.where(rng.random(PATHS) < 0.2, 0.0, 10.0**exponent).astype(np.float32))
+
+    def walk(side: Any) -> Partial:
+        one = dr.ones(mi.Float, PATHS)
+        partial = heuristic.start(one, one, one, side)
+        for _ in range(N):
+            partial = heuristic.arrive(partial, one, one)
+            drawn = dr.maximum(extreme(), 1e-30)  # What has no density is not drawn
+            partial = heuristic.scatter(partial, one, drawn, extreme(), mi.Bool(rng.random(PATHS) < 0.15), side)
+        return heuristic.arrive(partial, one, one)
+
+    heuristic = Heuristic(kind, N)
+    light, eye = walk("light"), walk("eye")
+    ratios = heuristic.others(light, extreme(), extreme(), "light"), heuristic.others(eye, extreme(), extreme(), "eye")
+    weight = np.array(heuristic.weight(*ratios))
+    assert np.isfinite(weight).all()
+    assert weight.min() >= 0.0
+    assert weight.max() <= 1.0
+    assert np.isfinite(np.array([light.dvcm, *light.dvc, eye.dvcm, *eye.dvc])).all()

@@ -25,8 +25,9 @@ DEPTHS = '<integer name="max_depth" value="7"/><integer name="rr_depth" value="3
         ),
         ('<integrator type="path"><integer name="max_depth" value="9999"/></integrator>',
          {"integrator": "path", "max_depth": 256}),
-        ('<integrator type="path"><boolean name="hide_emitters" value="false"/></integrator>', {"integrator": "path"}),
-        ("", {}),
+        ('<integrator type="path"><boolean name="hide_emitters" value="false"/></integrator>',
+         {"integrator": "path", "max_depth": -1}),
+        ("", {"max_depth": -1}),
     ],
 )  # fmt: skip
 def test_parameters_of_a_known_integrator_are_defaults(
@@ -46,7 +47,7 @@ def test_parameters_of_a_known_integrator_are_defaults(
 def test_an_integrator_that_is_left_out_is_warned_about(integrator: str, word: str, tmp_path: Path) -> None:
     summary = load(tmp_path, scene_xml(integrator + SQUARE)).summary
     assert [warning for warning in summary.warnings if word in warning]
-    assert summary.defaults.max_depth == (7 if "aov" in integrator else None)
+    assert summary.defaults.max_depth == (7 if "aov" in integrator else -1)
 
 
 def test_samples_of_the_sampler_are_a_default(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO
@@ -159,7 +160,7 @@ def test_every_allowed_plugin_is_one_of_mitsubas_own() -> None:
 def test_a_plugin_that_is_left_out_is_refused_with_the_cure(
     tag: str, name: str, tmp_path: Path, reject: Reject
 ) -> None:
-    message = reject(load, tmp_path, scene_xml(f'<{tag} type="{name}"/>'))
+    message = reject(load, tmp_path, scene_xml(f'<{tag} type="{name}"><string name="x" value="y"/></{tag}>'))
     assert message.endswith(plugins.REFUSED[tag, name])
 
 
@@ -273,8 +274,15 @@ def test_a_size_beyond_the_limit_is_refused(tmp_path: Path, reject: Reject) -> N
         reject(load_scene, upload, VARIANT, size=size)
 
 
-def test_a_scene_without_camera_is_refused(tmp_path: Path, reject: Reject) -> None:
-    assert "sensor" in reject(load, tmp_path, scene_xml(sensor=""))
+def test_a_scene_without_camera_gets_one_that_sees_all_of_it(mi: Any, tmp_path: Path) -> None:
+    shapes = '<shape type="sphere"/><shape type="sphere"><point name="center" x="9" y="0" z="0"/></shape>'
+    loaded = load(tmp_path, scene_xml(shapes + LIGHT, sensor=""))
+    assert [warning for warning in loaded.summary.warnings if "no <sensor>" in warning]
+    image = np.array(mi.render(loaded.scene, integrator=mi.load_dict({"type": "depth"}), spp=1))[..., 0]
+    seen = image > 0.0
+    assert 0.01 < seen.mean() < 0.5
+    assert not seen[[0, -1]].any()
+    assert not seen[:, [0, -1]].any()
 
 
 def test_shapes_that_overflow_are_refused(tmp_path: Path, reject: Reject) -> None:
