@@ -11,8 +11,9 @@ import pytest
 
 from elps_core.scene import reading, rules
 from elps_core.scene.bundle import BundleLimits, unpack
+from elps_core.scene.canonical import canonicalize
 from elps_core.scene.files import Files
-from elps_core.scene.loader import canonicalize, load_scene
+from elps_core.scene.loader import load_scene
 from elps_core.scene.text import MAX_WARNINGS
 
 from .conftest import OBJ, SQUARE, VARIANT, Reject, folder_of, listing, load, mesh, scene_xml, zip_of

@@ -13,7 +13,8 @@ import pytest
 
 from elps_core import device
 from elps_core.scene import loader, plugins
-from elps_core.scene.loader import canonicalize, load_scene
+from elps_core.scene.canonical import canonicalize
+from elps_core.scene.loader import load_scene
 
 from .conftest import (
     LIGHT,

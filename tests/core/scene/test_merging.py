@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from elps_core import device
+from elps_core.scene.canonical import canonicalize
 from elps_core.scene.generate.mesh import box, lathe
-from elps_core.scene.loader import LoadedScene, canonicalize, load_scene
+from elps_core.scene.loader import LoadedScene, load_scene
 
 from .conftest import SENSOR, folder_of, ply, scene_xml
 
