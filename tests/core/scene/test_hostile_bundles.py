@@ -196,7 +196,7 @@ def test_thousands_of_warnings_are_told_as_a_few(tmp_path: Path) -> None:
         '<shape type="cube" name="_arg_0"/>',
         '<shape type="cube"><bsdf type="diffuse" name="filename"/></shape>',
         '<texture type="scale" name="filename"/>',
-        '<shape type="Merge"/>',
+        '<shape type="Merge"><bsdf type="diffuse"/></shape>',
         '<emitter type="PLUGINS/evil"/>',
         '<luminaire type="../constant"/>',
         '<bsdf type="bump/../evil"/>',
@@ -314,7 +314,7 @@ def test_ignored_files_obey_the_rules_of_names(name: str, tmp_path: Path, reject
 
 def test_an_ignored_file_is_not_in_the_bundle(tmp_path: Path, reject: Reject) -> None:
     body = '<shape type="linearcurve"><string name="filename" value="LICENSE"/></shape>'
-    assert "not in the bundle" in reject(load, tmp_path, scene_xml(body), {"LICENSE": b"0 0 0 0.1\n1 0 0 0.1\n"})
+    assert "left out of bundles" in reject(load, tmp_path, scene_xml(body), {"LICENSE": b"0 0 0 0.1\n1 0 0 0.1\n"})
 
 
 def test_one_line_is_said_of_every_name(tmp_path: Path, reject: Reject) -> None:
