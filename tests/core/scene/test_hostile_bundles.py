@@ -196,6 +196,7 @@ def test_thousands_of_warnings_are_told_as_a_few(tmp_path: Path) -> None:
         '<shape type="cube" name="_arg_0"/>',
         '<shape type="cube"><bsdf type="diffuse" name="filename"/></shape>',
         '<texture type="scale" name="filename"/>',
+        '<shape type="Merge"><bsdf type="diffuse"/></shape>',
         '<emitter type="PLUGINS/evil"/>',
         '<luminaire type="../constant"/>',
         '<bsdf type="bump/../evil"/>',

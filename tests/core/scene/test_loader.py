@@ -151,6 +151,18 @@ def test_every_allowed_plugin_is_one_of_mitsubas_own() -> None:
     assert {
         name for name in plugins.INTEGRATORS if not name.startswith(("elps_", "prb", "direct_p", "volprim"))
     } <= built_in
+    # No other is left without a word.
+    refused = {name for _, name in plugins.REFUSED}
+    assert not refused & named
+    assert built_in == named | refused | (plugins.INTEGRATORS & built_in)
+
+
+@pytest.mark.parametrize(("tag", "name"), sorted(plugins.REFUSED))
+def test_a_plugin_that_is_left_out_is_refused_with_the_cure(
+    tag: str, name: str, tmp_path: Path, reject: Reject
+) -> None:
+    message = reject(load, tmp_path, scene_xml(f'<{tag} type="{name}"><string name="x" value="y"/></{tag}>'))
+    assert message.endswith(plugins.REFUSED[tag, name])
 
 
 @pytest.mark.parametrize("extension", ["png", "jpg", "exr", "hdr", "pfm", "bmp", "tga"])
