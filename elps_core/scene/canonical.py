@@ -5,6 +5,7 @@ What is checked is what is written; nothing of it comes from anywhere else. Impo
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -24,6 +25,8 @@ from elps_core.scene.text import few
 
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
+_NUMBERED = re.compile(r"_arg_[0-9]+")
+"""Names of Mitsuba's own."""
 _NO_CAMERA = "the scene has no <sensor>: a camera stands in front of it, looks along z and sees all of it"
 
 
@@ -82,6 +85,7 @@ def canonicalize(
     scene = document.root
     integrators = [child for child in scene.children if child.tag == "integrator"]
     scene.children = [child for child in scene.children if child.tag != "integrator"]
+    _unname(scene)
     _flatten(scene)
     rules.check(scene)
     objects = scene.objects()
@@ -132,6 +136,17 @@ def canonicalize(
         framed,
         (*document.warnings, *few(files.warnings), *few(warnings)),
     )
+
+
+def _unname(node: Node) -> None:
+    """Take from objects the names that Mitsuba gives to those without one, as its exporter writes them.
+
+    Mitsuba counts from 0 again in what has no name, and of two that are called the same one is lost without a word.
+    """
+    for child in node.children:
+        _unname(child)
+        if (child.is_object or child.tag == "ref") and _NUMBERED.fullmatch(child.attributes.get("name", "")):
+            del child.attributes["name"]
 
 
 def _flatten(node: Node) -> None:
