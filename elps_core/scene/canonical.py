@@ -5,6 +5,7 @@ What is checked is what is written; nothing of it comes from anywhere else. Impo
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -24,6 +25,7 @@ from elps_core.scene.text import few
 
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
+_NO_NAME = re.compile(r"_arg_[0-9]+")
 _NO_CAMERA = "the scene has no <sensor>: a camera stands in front of it, looks along z and sees all of it"
 
 
@@ -82,7 +84,7 @@ def canonicalize(
     scene = document.root
     integrators = [child for child in scene.children if child.tag == "integrator"]
     scene.children = [child for child in scene.children if child.tag != "integrator"]
-    _flatten(scene)
+    _plain(scene)
     rules.check(scene)
     objects = scene.objects()
     defaults, warnings = advice.take(integrators, [node for node in objects if node.tag == "sampler"])
@@ -134,11 +136,17 @@ def canonicalize(
     )
 
 
-def _flatten(node: Node) -> None:
-    """Put the shapes of each ``merge`` in its place: meshes of one material become one in any case."""
+def _plain(node: Node) -> None:
+    """Put the shapes of each ``merge`` in its place, and take names away that only say that there is none.
+
+    Meshes of one material become one in any case. Mitsuba calls objects without a name ``_arg_0`` and writes that
+    into files; as a name of another object it would take that one's place.
+    """
     whole: list[Node] = []
     for child in node.children:
-        _flatten(child)
+        if (child.is_object or child.tag == "ref") and _NO_NAME.fullmatch(child.attributes.get("name", "")):
+            del child.attributes["name"]
+        _plain(child)
         merges = child.tag == "shape" and child.type == "merge"
         if merges and all(part.tag == "shape" and "name" not in part.attributes for part in child.children):
             whole += child.children
