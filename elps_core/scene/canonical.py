@@ -25,8 +25,7 @@ from elps_core.scene.text import few
 
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
-_NUMBERED = re.compile(r"_arg_[0-9]+")
-"""Names of Mitsuba's own."""
+_NO_NAME = re.compile(r"_arg_[0-9]+")
 _NO_CAMERA = "the scene has no <sensor>: a camera stands in front of it, looks along z and sees all of it"
 
 
@@ -85,8 +84,7 @@ def canonicalize(
     scene = document.root
     integrators = [child for child in scene.children if child.tag == "integrator"]
     scene.children = [child for child in scene.children if child.tag != "integrator"]
-    _unname(scene)
-    _flatten(scene)
+    _plain(scene)
     rules.check(scene)
     objects = scene.objects()
     defaults, warnings = advice.take(integrators, [node for node in objects if node.tag == "sampler"])
@@ -138,22 +136,17 @@ def canonicalize(
     )
 
 
-def _unname(node: Node) -> None:
-    """Take from objects the names that Mitsuba gives to those without one, as its exporter writes them.
+def _plain(node: Node) -> None:
+    """Put the shapes of each ``merge`` in its place, and take names away that only say that there is none.
 
-    Mitsuba counts from 0 again in what has no name, and of two that are called the same one is lost without a word.
+    Meshes of one material become one in any case. Mitsuba calls objects without a name ``_arg_0`` and writes that
+    into files; as a name of another object it would take that one's place.
     """
-    for child in node.children:
-        _unname(child)
-        if (child.is_object or child.tag == "ref") and _NUMBERED.fullmatch(child.attributes.get("name", "")):
-            del child.attributes["name"]
-
-
-def _flatten(node: Node) -> None:
-    """Put the shapes of each ``merge`` in its place: meshes of one material become one in any case."""
     whole: list[Node] = []
     for child in node.children:
-        _flatten(child)
+        if (child.is_object or child.tag == "ref") and _NO_NAME.fullmatch(child.attributes.get("name", "")):
+            del child.attributes["name"]
+        _plain(child)
         merges = child.tag == "shape" and child.type == "merge"
         if merges and all(part.tag == "shape" and "name" not in part.attributes for part in child.children):
             whole += child.children
