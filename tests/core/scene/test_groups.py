@@ -20,3 +20,14 @@ def test_every_shape_is_found_in_a_scene_with_instances(tmp_path: Path) -> None:
     assert {"Cube", "Sphere", "Disk", "Instance"} <= set(kinds)
     assert (kinds.count("Cube"), kinds.count("Sphere"), kinds.count("Instance")) == (1, 1, 2)
     assert loaded.summary.triangles == 12
+
+
+def test_instances_reach_as_far_as_their_groups_stand_off(tmp_path: Path) -> None:
+    moved = '<transform name="to_world"><scale value="2"/><translate x="-100"/></transform>'
+    ball = '<shape type="sphere"><point name="center" x="50" y="0" z="0"/></shape>'
+    away = GROUP.replace('<shape type="cube"/>', ball)
+    loaded = load(tmp_path, scene_xml(away.replace('<ref id="g"/></shape><', f'<ref id="g"/>{moved}</shape><', 1)))
+    from elps_core.scene.groups import local_reach
+
+    assert local_reach(loaded.scene) / loaded.scale >= 99.0
+    assert local_reach(load(tmp_path, scene_xml('<shape type="sphere"/>')).scene) == 0.0
