@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from elps_core.context.build import ContextBuilder
 from elps_core.context.store import GlobalContext
@@ -21,8 +22,14 @@ RESERVE = 0.97
 """Part of the time left that a chunk is sized for: rates vary by a few percent."""
 SAVING, SAVING_PIXEL = 0.05, 4e-7
 """Seconds that it takes to write the image, and more for each of its pixels."""
-Report = Callable[[str, float], None]
-"""Is told what is being done, and how much of the way to the end is behind, 0 to 1."""
+
+
+class Report(Protocol):
+    """Is told how far a render is."""
+
+    def __call__(self, what: str, share: float, merged: Accumulation | None = None) -> None:
+        """``what`` is being done, how much of the way to the end is behind (0 to 1), and the image so far."""
+        ...
 
 
 @dataclass
@@ -157,4 +164,4 @@ class ProgressiveRender:
         if stop.error is not None:
             error = merged.relative_error()
             shares.append(min(1.0, stop.error / error) ** 2 if error else 0.0)
-        self._report(f"rendering, {merged.spp} spp", min(1.0, max(shares)))
+        self._report(f"rendering, {merged.spp} spp", min(1.0, max(shares)), merged)

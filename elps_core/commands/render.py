@@ -94,7 +94,7 @@ def render(
             console.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
         found = _saved(settings, context, progress)
 
-        def report(what: str, share: float) -> None:
+        def report(what: str, share: float, merged: object = None) -> None:  # noqa: ARG001
             progress.update(task, description=what, total=1.0, completed=share)
 
         rendered = ProgressiveRender(loaded, settings, stop, begin, report).run(found)
