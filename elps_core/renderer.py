@@ -21,6 +21,7 @@ from elps_core.integrators.alpha import AlphaFrames
 from elps_core.integrators.canvas import Canvas
 from elps_core.integrators.leftout import Counts, seen_at
 from elps_core.paths.stream import key_seed
+from elps_core.scene.failing import told
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import PATH, Choice, choose, fit_candidates, plain_of
@@ -37,6 +38,7 @@ class Renderer:
     Raises:
         ContextMismatch: the context does not belong to the scene, or is missing where it is needed.
         SceneRejected: something in the scene that the integrator does not support.
+        RenderFailed: Mitsuba fails at something in the scene.
     """
 
     def __init__(self, scene: LoadedScene, settings: RenderSettings, context: GlobalContext | None = None) -> None:
@@ -45,7 +47,8 @@ class Renderer:
         self.choice = self._choose(context)
         """What renders, of what was asked for."""
         self.size = scene.size
-        self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
+        with told(settings.integrator):
+            self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
         """What renders frames by one of our own integrators; None for one of Mitsuba's."""
         self._baseline = self._mitsuba_integrator() if self.frames is None else None
         film = scene.sensor.film()
@@ -102,7 +105,14 @@ class Renderer:
         ``spp`` replaces the chunk's own number of samples where the caller merges by itself.
 
         Samples that are not finite are left out, and pixels whose sums are not: see :attr:`Chunk.left_out`.
+
+        Raises:
+            RenderFailed: Mitsuba fails at something in the scene.
         """
+        with told(self.settings.integrator):
+            return self._chunk(index, spp)
+
+    def _chunk(self, index: int, spp: int | None) -> Chunk:
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
         alpha: _Image | None = None

@@ -23,6 +23,7 @@ from elps_core.errors import ContextMismatch, NothingScatters
 from elps_core.sampling.start import StartDensity, power_table
 from elps_core.scene.digest import context_digest
 from elps_core.scene.emission import Emission
+from elps_core.scene.failing import told
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import (
@@ -131,13 +132,16 @@ class ContextBuilder:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`.
 
         The last step ends by the ``allowance``, and what is there by then is used.
+
+        Raises:
+            RenderFailed: Mitsuba fails at something in the scene.
         """
         begin = time.perf_counter()
         dr.flush_malloc_cache()  # Each step has larger arrays, and no use for memory of the sizes before
         # What had to be compiled was not on disk, and what comes after it will not be there.
         self._allowance = replace(allowance, compiling=max(allowance.compiling, self._compiling))
         first = self.done == 0
-        with KernelClock() as kernels:
+        with KernelClock() as kernels, told():
             self._take()
         if first:
             self._compiling = kernels.compiling / TRAINING_KERNELS
