@@ -32,8 +32,14 @@ class _Parts(mi.TraversalCallback):
 
 
 def every_shape(scene: mi.Scene) -> list[mi.Shape]:
-    """All shapes that rays can meet: ``scene.shapes()`` holds instances in place of what these repeat."""
-    return with_parts(scene.shapes())
+    """All shapes that rays can meet: ``scene.shapes()`` holds instances in place of what these repeat.
+
+    An instance does not tell what it repeats, and the scene does, among its shapes.
+    """
+    shapes = scene.shapes()
+    if all(shape.class_name() != "Instance" for shape in shapes):
+        return list(shapes)
+    return list(dict.fromkeys([*shapes, *_parts(scene)]))
 
 
 def with_parts(shapes: list[mi.Shape]) -> list[mi.Shape]:
@@ -46,19 +52,16 @@ def with_parts(shapes: list[mi.Shape]) -> list[mi.Shape]:
 def local_reach(scene: mi.Scene) -> float:
     """How far from the origins of their groups instances have their surfaces, in world units; 0 without instances.
 
-    Single precision rounds the coordinates of what they repeat there, before they are put in place.
+    Single precision rounds the coordinates of what they repeat there, before they are put in place. No instance tells
+    which group it repeats: the farthest surface of all groups is taken, and the largest scale of all instances.
     """
-    reach = 0.0
-    for instance in scene.shapes():
-        if instance.class_name() == "Instance":
-            parts = _Parts()
-            instance.traverse(parts)
-            centres = [np.array(part.bbox().center(), np.float64).ravel() for part in parts.shapes]
-            scale = np.linalg.norm(
-                np.array(mi.traverse(instance)["to_world"].matrix, np.float64).reshape(4, 4)[:3, :3], 2
-            )
-            reach = max([reach, *(float(scale * np.linalg.norm(centre)) for centre in centres)])
-    return reach
+    instances = [shape for shape in scene.shapes() if shape.class_name() == "Instance"]
+    if not instances:
+        return 0.0
+    boxes = [shape.bbox() for shape in every_shape(scene)[len(scene.shapes()) :] if shape.class_name() != "ShapeGroup"]
+    farthest = max((np.linalg.norm(np.array(box.center(), np.float64).ravel()) for box in boxes), default=0.0)
+    maps = [np.array(mi.traverse(each)["to_world"].matrix, np.float64).reshape(4, 4)[:3, :3] for each in instances]
+    return float(farthest * max(np.linalg.norm(each, 2) for each in maps))
 
 
 def numbers(shapes: list[mi.Shape]) -> NDArray[np.int64]:

@@ -1,0 +1,58 @@
+"""Shapes of groups are known wherever they are asked for, and rendered as right as those that stand alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from elps_core.scene.loader import load_scene
+from elps_core.settings import RenderSettings
+
+from .conftest import SENSOR
+
+ALONE = (
+    '<shape type="cube"><transform name="to_world"><rotate y="1" angle="30"/><translate x="{0}"/></transform></shape>'
+)
+AGAIN = (
+    f'<shape type="shapegroup" id="g">{ALONE}</shape><shape type="instance"><ref id="g"/>'
+    '<transform name="to_world"><translate x="-{0}"/></transform></shape>'
+)
+LAMP = '<emitter type="point"><point name="position" value="1, 2, 4"/></emitter>'
+
+
+def drawn(folder: Path, shapes: str, algorithm: str) -> float:
+    """Mean of a small image in direct light, with the same random numbers for all."""
+    from elps_core.renderer import Renderer
+
+    (folder / "scene.xml").write_text(f'<scene version="3.0.0">{SENSOR}{shapes}{LAMP}</scene>')
+    settings = RenderSettings(integrator=algorithm, max_depth=2, light_sampling="uniform", roulette="throughput")
+    renderer = Renderer(load_scene(folder / "scene.xml", "llvm_ad_rgb", size=(8, 8)), settings)
+    return float(np.mean(renderer.render_chunk(0, 64).image))
+
+
+@pytest.mark.parametrize("algorithm", ["path", "bdpt"])
+@pytest.mark.parametrize("far", [0, 2000])
+def test_what_is_repeated_is_lit_as_what_stands_alone(tmp_path: Path, mi: Any, algorithm: str, far: int) -> None:
+    """Also where a group's shapes stand far from its origin, where single precision rounds their surfaces."""
+    del mi
+    expected = drawn(tmp_path, ALONE.format(0), algorithm)
+    assert expected > 0.001
+    assert drawn(tmp_path, AGAIN.format(far), algorithm) == pytest.approx(expected, rel=0.002)
+
+
+def test_the_reach_of_instances_is_that_of_their_groups(mi: Any) -> None:
+    from elps_core.scene.groups import local_reach
+
+    def reach(**more: Any) -> float:
+        move = mi.ScalarTransform4f().translate
+        block = {"type": "cube", "to_world": move([0, 30, 40])}
+        return local_reach(mi.load_dict({"type": "scene", "group": {"type": "shapegroup", "block": block}, **more}))
+
+    again = {"type": "instance", "group": {"type": "ref", "id": "group"}}
+    assert reach(one={"type": "sphere", "center": [99, 0, 0]}) == 0.0
+    assert reach(one=again) == pytest.approx(50.0)
+    larger = again | {"to_world": mi.ScalarTransform4f().scale([2, 1, 1])}
+    assert reach(one=again, two=larger) == pytest.approx(100.0)
