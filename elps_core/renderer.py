@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import drjit as dr
@@ -21,6 +22,7 @@ from elps_core.integrators.alpha import AlphaFrames
 from elps_core.integrators.canvas import Canvas
 from elps_core.integrators.leftout import Counts, seen_at
 from elps_core.paths.stream import key_seed
+from elps_core.scene import darkness
 from elps_core.scene.failing import told
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
@@ -139,7 +141,14 @@ class Renderer:
             image, weight = np.where(odd[..., None], np.float32(0.0), image), np.where(odd, np.float32(0.0), weight)
             filtered = None if filtered is None else np.where(odd, np.float32(0.0), filtered)
         seconds = time.perf_counter() - begin
-        return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, self._seen_at(left_out))
+        black = not left_out.any() and not image[..., : self._canvas.channels].any()
+        told = (self._seen_at(left_out), self._dark if black else ())
+        return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, *told)
+
+    @cached_property
+    def _dark(self) -> tuple[str, ...]:
+        """Why images of this camera are black."""
+        return darkness.reasons(self.scene, self.settings)
 
     def _seen_at(self, left_out: Counts) -> dict[str, int]:
         return seen_at(self.scene.scene, self.scene.sensor, left_out) if left_out.any() else {}

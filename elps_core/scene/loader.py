@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
 _EXPECTED = {
-    "emitter": "the scene has no emitters: the image will be black",
+    "emitter": "the scene has no emitters: the image will be black; add one",
     "shape": "the scene has no shapes: there is nothing to see",
 }
 """Element -> the warning where a scene has none."""
@@ -228,7 +228,7 @@ def canonicalize(
     if size is not None:
         rules.check_film_size(*size)
         _resize(sensors[sensor], objects, size)
-    text, nodes = markup.write(scene, absolute)
+    text, nodes = markup.write(_with_emitter(scene, objects), absolute)
     return CanonicalScene(
         text,
         tuple(nodes),
@@ -243,6 +243,17 @@ def canonicalize(
         framed,
         (*document.warnings, *few(files.warnings), *few(warnings)),
     )
+
+
+def _with_emitter(root: Node, objects: list[Node]) -> Node:
+    """The scene, with an emitter that gives no light where it has none: every algorithm begins or ends at one."""
+    if any(node.tag == "emitter" for node in objects):
+        return root
+    dark = Node("emitter", {"type": "directional"}, root.line)
+    dark.children = [Node("rgb", {"name": "irradiance", "value": "0"}, root.line)]
+    whole = copy(root)
+    whole.children = [*root.children, dark]
+    return whole
 
 
 def _flatten(node: Node) -> None:
