@@ -141,13 +141,13 @@ class Renderer:
             image, weight = np.where(odd[..., None], np.float32(0.0), image), np.where(odd, np.float32(0.0), weight)
             filtered = None if filtered is None else np.where(odd, np.float32(0.0), filtered)
         seconds = time.perf_counter() - begin
-        black = not left_out.any() and not image[..., : self._canvas.channels].any()
-        told = (self._seen_at(left_out), self._dark if black else ())
-        return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, *told)
+        colours = image[..., : len(self._canvas.names)]
+        dark = () if colours.any() or odd.any() else self._reasons_for_darkness
+        seen = self._seen_at(left_out)
+        return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, seen, dark)
 
     @cached_property
-    def _dark(self) -> tuple[str, ...]:
-        """Why images of this camera are black."""
+    def _reasons_for_darkness(self) -> tuple[str, ...]:
         return darkness.reasons(self.scene, self.settings)
 
     def _seen_at(self, left_out: Counts) -> dict[str, int]:

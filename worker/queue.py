@@ -10,6 +10,7 @@ from celery import Celery
 from kombu.exceptions import OperationalError
 from redis import Redis
 
+from elps_core.estimate.schedule import MEANTIME
 from worker.errors import FarmUnavailable
 from worker.leases import Offer, Work
 from worker.models import Job
@@ -37,7 +38,7 @@ def queue_of(job: Job) -> str:
 
 def offer_for(job: Job, work: Work) -> Offer:
     """How a piece of work that ``job`` asks for is to be sent."""
-    if work.number == 0 or work.kind == "context" or job.priority > 0:
+    if work.number in (0, MEANTIME) or work.kind == "context" or job.priority > 0:
         return Offer(work, queue_of(job), FIRST)
     return Offer(work, queue_of(job), NORMAL if job.priority == 0 else LOW)
 

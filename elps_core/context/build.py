@@ -128,6 +128,7 @@ class ContextBuilder:
         self._compared = self._compared or begun
         return begun
 
+    @told()
     def step(self, allowance: Allowance = ENDLESS) -> None:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`.
 
@@ -141,7 +142,7 @@ class ContextBuilder:
         # What had to be compiled was not on disk, and what comes after it will not be there.
         self._allowance = replace(allowance, compiling=max(allowance.compiling, self._compiling))
         first = self.done == 0
-        with KernelClock() as kernels, told():
+        with KernelClock() as kernels:
             self._take()
         if first:
             self._compiling = kernels.compiling / TRAINING_KERNELS

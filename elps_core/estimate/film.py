@@ -29,8 +29,6 @@ LEAST_SHARE = 0.25
 """What they are taken for at least, over their mean: over so many samples it is four standard deviations away."""
 _STATISTIC, _LEFT_OUT = "statistic ", "left out "
 """Prefixes of names in a record: of statistics, and of what is seen where samples were left out."""
-_DARK = "dark"
-"""Name in a record of the reasons of a black image."""
 MOST_NAMED = 3
 """Things that one warning names."""
 
@@ -67,7 +65,7 @@ class Chunk:
     left_out: Mapping[str, int] = field(default_factory=dict)
     """Samples that were not finite and count nowhere, by what the camera sees where they fell."""
     dark: tuple[str, ...] = ()
-    """Of an image without any light, the likely reasons: a line each."""
+    """Why the image may be black, where it is; empty otherwise."""
 
     def to_bytes(self) -> bytes:
         """The chunk as one safetensors record."""
@@ -75,9 +73,9 @@ class Chunk:
         statistics = {_STATISTIC + name: np.array([value], np.float64) for name, value in self.statistics.items()}
         record: dict[str, NDArray[Any]] = {"facts": facts, "image": self.image, "weight": self.weight, **statistics}
         record |= _named(_LEFT_OUT, self.left_out)
-        if self.dark:
-            record[_DARK] = _packed(self.dark)
         record["channels"] = _packed(self.channels)
+        if self.dark:
+            record["dark"] = _packed(self.dark)
         if self.filtered is not None:
             record["filtered"] = self.filtered
         return save_tensors(record)
@@ -90,8 +88,9 @@ class Chunk:
         statistics = {name: float(values[0]) for name, values in _in(record, _STATISTIC).items()}
         image, channels = record["image"], _unpacked(record["channels"])
         filtered = record.get("filtered")
-        facts = (int(index), int(spp), float(seconds), image, record["weight"])
-        return cls(*facts, statistics, channels, filtered, _counts_in(record), _dark_in(record))
+        left_out = _counts_in(record)
+        weight, dark = record["weight"], _dark_in(record)
+        return cls(int(index), int(spp), float(seconds), image, weight, statistics, channels, filtered, left_out, dark)
 
 
 @dataclass
@@ -115,7 +114,7 @@ class Accumulation:
     left_out: dict[str, int] = field(default_factory=dict)
     """Of all chunks: see :attr:`Chunk.left_out`."""
     dark: tuple[str, ...] = ()
-    """Of the chunk that came last with some: see :attr:`Chunk.dark`."""
+    """Of black chunks: see :attr:`Chunk.dark`."""
     _weight: NDArray[np.float64] = field(init=False, repr=False)
     _sum: NDArray[np.float64] = field(init=False, repr=False)
     _square: NDArray[np.float64] = field(init=False, repr=False)
@@ -165,7 +164,7 @@ class Accumulation:
         self.spp += chunk.spp
         self.seconds += chunk.seconds
         self._leave_out(chunk.left_out)
-        self.dark = chunk.dark or self.dark
+        self.dark = self.dark or chunk.dark
         for name, value in chunk.statistics.items():
             if math.isfinite(value):  # a share of nothing says nothing
                 self._statistics.setdefault(name, []).append((float(chunk.spp), value))
@@ -208,7 +207,7 @@ class Accumulation:
         self.spp += other.spp
         self.seconds += other.seconds
         self._leave_out(other.left_out)
-        self.dark = other.dark or self.dark
+        self.dark = self.dark or other.dark
         for name, values in other._statistics.items():
             self._statistics.setdefault(name, []).extend(values)
 
@@ -216,27 +215,20 @@ class Accumulation:
         for name, count in counts.items():
             self.left_out[name] = self.left_out.get(name, 0) + count
 
-    @property
-    def is_black(self) -> bool:
-        """Whether it has samples, and no light."""
-        return bool(self.chunks) and not np.any(self._sum[..., self._light])
-
-    @property
-    def _light(self) -> slice:
-        """Channels that hold light."""
-        return slice(len(RGB) if self.channels == RGBA else None)
-
     def warnings(self) -> tuple[str, ...]:
         """What there is to say against the image, a line each."""
-        dark = self.dark if self.is_black else ()
+        black = tuple(f"the image is black: {reason}" for reason in self.dark if not self._shines())
         if not self.left_out:
-            return dark
+            return black
         count, samples = sum(self.left_out.values()), self.spp * self.width * self.height
         named = sorted(self.left_out, key=lambda name: (-self.left_out[name], name))
         others = [f"and {len(named) - MOST_NAMED} other things"] if len(named) > MOST_NAMED else []
         seen = ", ".join([*named[:MOST_NAMED], *others])
         what = f"{count:,} samples that are not finite are left out (the image has {samples:,})"
-        return (*dark, f"{what}: their pixels show {seen}; check these materials, and how bright the lights are")
+        return (f"{what}: their pixels show {seen}; check these materials, and how bright the lights are", *black)
+
+    def _shines(self) -> bool:
+        return bool(self._sum[..., : len(self.channels) - (self.channels == RGBA)].any())
 
     def mean(self) -> Image:
         """The image, float32 [height, width, channels]; zeros where nothing was sampled."""
@@ -263,7 +255,8 @@ class Accumulation:
         """Of the light, see :func:`elps_core.estimate.stats.relative_error`; None with fewer than two chunks."""
         if len(self.chunks) < 2:
             return None
-        return relative_error(self.mean()[..., self._light], self.standard_error()[..., self._light])
+        light = slice(len(RGB) if self.channels == RGBA else None)
+        return relative_error(self.mean()[..., light], self.standard_error()[..., light])
 
     def statistics(self) -> dict[str, Statistic]:
         """What the algorithm says of its work, by name.
@@ -304,7 +297,7 @@ class Accumulation:
             "square": self._square,
             **{_STATISTIC + name: np.array(values, np.float64) for name, values in self._statistics.items()},
             **_named(_LEFT_OUT, self.left_out),
-            **({_DARK: _packed(self.dark)} if self.dark else {}),
+            **({"dark": _packed(self.dark)} if self.dark else {}),
         }
         return save_tensors(record)
 
@@ -314,8 +307,9 @@ class Accumulation:
         record = load_tensors(data)
         width, height, spp, seconds = record["facts"]
         chunks, channels = {int(i) for i in record["chunks"]}, _unpacked(record["channels"])
-        facts = (int(width), int(height), chunks, int(spp), float(seconds), channels)
-        result = cls(*facts, _counts_in(record), _dark_in(record))
+        result = cls(
+            int(width), int(height), chunks, int(spp), float(seconds), channels, _counts_in(record), _dark_in(record)
+        )
         result._weight, result._sum, result._square = record["weight"], record["sum"], record["square"]
         result._filtered = record.get("filtered")
         result._statistics = {
@@ -346,7 +340,7 @@ def _counts_in(record: dict[str, NDArray[Any]]) -> dict[str, int]:
 
 
 def _dark_in(record: dict[str, NDArray[Any]]) -> tuple[str, ...]:
-    return _unpacked(record[_DARK]) if _DARK in record else ()
+    return _unpacked(record["dark"]) if "dark" in record else ()
 
 
 def _divide(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

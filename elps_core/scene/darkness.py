@@ -44,10 +44,12 @@ _PLANES = ("PerspectiveCamera", "ThinLensCamera", "OrthographicCamera")
 
 
 def reasons(loaded: LoadedScene, settings: RenderSettings) -> tuple[str, ...]:
-    """The likely reasons of a black image, or the little that is known; none where loading has told them already."""
-    if not loaded.summary.emitters or not loaded.summary.shapes:
-        return ()
-    return tuple(f"the image is black: {line}" for line in _Search(loaded, settings).lines())
+    """The likely reasons of the black image of a scene's camera, or the little that is known."""
+    if not loaded.summary.emitters:
+        return ("the scene has no emitter: add one",)
+    if not loaded.summary.shapes:
+        return ("the scene has no shapes: there is nothing that light falls on",)
+    return tuple(_Search(loaded, settings).lines())
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class _Search:
             self._emission = None
 
     def lines(self) -> list[str]:
-        """Reasons, without the words that all of them begin with."""
+        """Reasons, each with its cure."""
         rays = self._camera_rays()
         si = self._scene.ray_intersect(rays)
         if not dr.any(si.is_valid()):
@@ -136,8 +138,8 @@ class _Search:
         if emission.kinds & set(_AIMED):
             return "no lamp gives light to the scene: raise radiance or intensity, or turn the lamps to it"
         return (
-            "no lamp gives light: raise their radiance or intensity, which are 0 (as may be the image that they are read "
-            "from)"
+            "no lamp gives light: raise their radiance or intensity, which are 0 (or read from an image or an attribute "
+            "that is)"
         )
 
     def _beams(self, emission: Emission) -> _Beams:

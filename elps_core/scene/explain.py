@@ -28,6 +28,11 @@ _SENTENCES = {
     "Measurements in RGB format require": "its file holds RGB colours: choose a variant that ends in _rgb, or take the "
     "material's file with spectra",
     "invalid file format": "its file is of another kind, or damaged",
+    "indices of refraction must be positive and differ": "its 'int_ior' and 'ext_ior' must be positive and differ",
+    "indices of refraction must be positive": "its 'int_ior' and 'ext_ior' must be positive",
+    "invalid index of refraction property": "its index is out of range or given twice: give 'eta' or 'specular'",
+    "'alpha_u' and 'alpha_v' must be specified": "it has one of 'alpha_u' and 'alpha_v': give both",
+    "Invalid RGB reflectance value": "a part of its colour is not in the range from 0 to 1",
     "has the wrong type": "a parameter is of another type than it takes",
 }
 """Words of Mitsuba's -> what they mean."""

@@ -32,20 +32,16 @@ class _Parts(mi.TraversalCallback):
 
 
 def every_shape(scene: mi.Scene) -> list[mi.Shape]:
-    """All shapes that rays can meet: ``scene.shapes()`` holds instances in place of what these repeat.
-
-    An instance does not tell what it repeats, and the scene does, among its shapes.
-    """
+    """All shapes that rays can meet: ``scene.shapes()`` holds instances in place of what these repeat."""
     shapes = scene.shapes()
     if all(shape.class_name() != "Instance" for shape in shapes):
         return list(shapes)
+    # The scene tells of its groups, and an instance does not tell of its own.
     return list(dict.fromkeys([*shapes, *_parts(scene)]))
 
 
 def with_parts(shapes: list[mi.Shape]) -> list[mi.Shape]:
-    """Shapes and those that they repeat, each once."""
-    if all(shape.class_name() not in ("Instance", "ShapeGroup") for shape in shapes):
-        return list(shapes)
+    """Shapes, groups among them, and what the groups hold, each once."""
     return list(dict.fromkeys([*shapes, *(part for shape in shapes for part in _parts(shape))]))
 
 

@@ -6,6 +6,8 @@ a scene's files can be summed up against one limit.
 
 from __future__ import annotations
 
+import mmap
+import re
 import struct
 from collections.abc import Callable
 from typing import BinaryIO
@@ -56,8 +58,18 @@ def mended(kind: str, file: BinaryIO, path: str) -> tuple[bytes, list[str]] | No
     return mend(file, path) if mend else None
 
 
+_NOT_FINITE = re.compile(rb"^[^#\n]*?(?<![\w.])(?:nan|inf(?:inity)?)(?!\w)", re.MULTILINE | re.IGNORECASE)
+"""A number in a line that is no comment."""
+
+
 def _text(file: BinaryIO, *_: object) -> int:
-    return _OBJ_GROWTH * file_size(file)
+    """Numbers of a spectrum or of a curve, which Mitsuba takes whatever they are."""
+    size = file_size(file)
+    if size:
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            if _NOT_FINITE.search(data):
+                raise BadFileError("has numbers that are not finite")
+    return _OBJ_GROWTH * size
 
 
 def _obj(file: BinaryIO, *_: object) -> int:

@@ -50,3 +50,9 @@ HARMLESS = {
     "shape": frozenset({"collapse", "load_materials", "max_smooth_angle", "srgb"}),
 }
 """Element -> unknown parameters that its image depends on little or not at all."""
+
+SMOOTH = {"roughdielectric": "dielectric", "roughplastic": "plastic", "pplastic": "plastic"}
+"""Rough materials that Mitsuba refuses where their indices of refraction are equal -> the smooth one, which it takes.
+Where nothing is reflected or bent, the roughness of a surface changes nothing."""
+ROUGHNESS = ("alpha", "alpha_u", "alpha_v", "distribution", "sample_visible")
+"""Parameters of theirs that the smooth one does not have."""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from elps_core.scene import markup
 from elps_core.scene.bundle import ROOT_XML
+from elps_core.scene.canonical import canonicalize, file_names
 from elps_core.scene.files import Files
-from elps_core.scene.loader import canonicalize, file_names
 
 _ODD = re.compile(r"[^A-Za-z0-9_.-]")
 """Characters that a name in a bundle does not need."""

@@ -112,7 +112,7 @@ REFUSED: dict[tuple[str, str], str] = {
     ("shape", "blender"): "it reads the memory of a running Blender: export the mesh as PLY",
     ("shape", "ellipsoids"): "radiance fields are not rendered: give the scene surfaces",
     ("shape", "ellipsoidsmesh"): "radiance fields are not rendered: give the scene surfaces",
-    ("shape", "merge"): "shapes are merged in any case: take its parts out of it",
+    ("shape", "merge"): "shapes are merged in any case: leave nothing in it but shapes without names",
 }
 """(element, plugin of Mitsuba 3.9) that a scene may not name -> why, and what to do."""
 

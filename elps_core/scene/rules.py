@@ -41,8 +41,8 @@ _SPECTRUM_SEPARATORS = re.compile(r"[,:\s]+")
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.\-]{0,99}")
 _TAKEN = re.compile(r"filename|_arg_[0-9]+")
-"""Names of files, and those that Mitsuba gives to objects without a name: one that is called so takes another's place,
-without a word."""
+"""Names of files, and those that Mitsuba gives to objects without a name: a parameter that is called so takes an
+object's place, without a word."""
 _STRING = re.compile(r"[A-Za-z0-9_ .,:;+\-*()=\t\r\n]*")
 """Text parameters: names of materials and distributions, lists of numbers. Without a slash none is a path."""
 

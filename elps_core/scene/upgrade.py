@@ -175,6 +175,8 @@ def _leave_out_unknown(node: Node, rewrite: Rewrite) -> None:
             for child in node.children
             if child.tag == "integrator" or child.attributes.get("name") in known.ADVICE
         ]
+    elif node.tag == "bsdf" and node.type in known.SMOOTH:
+        _fit_equal_indices(node)
     elif node.tag in known.HARMLESS:
         if (node.tag, node.type) == ("texture", "bitmap"):
             _fit_bitmap(node, rewrite)
@@ -211,6 +213,25 @@ def _is_choice(child: Node, owner: Node) -> bool:
     if choices is not None and value in choices:
         child.attributes["value"] = value
     return choices is None or value in choices
+
+
+def _fit_equal_indices(node: Node) -> None:
+    """A rough surface between equal indices of refraction is a smooth one."""
+    inside, around = _index(named(node, "int_ior")), named(node, "ext_ior")
+    outside = legacy.INDICES["air"] if around is None else _index(around)
+    if inside is not None and inside == outside:
+        node.attributes["type"] = known.SMOOTH[node.type]
+        for name in known.ROUGHNESS:
+            take(node, name)
+
+
+def _index(given: Node | None) -> float | None:
+    """An index of refraction by name or number; None of anything else."""
+    if given is None:
+        return None
+    text = given.attributes.get("value", "").strip().lower()
+    value = numbers(text)
+    return legacy.INDICES.get(text, value[0] if len(value) == 1 else None)
 
 
 def _fit_bitmap(node: Node, rewrite: Rewrite) -> None:

@@ -271,6 +271,12 @@ ENTRIES = [
         made("envmap.exr", "matpreview.serialized"),
     ),
     Entry(
+        "preview of a part that its file does not have",
+        _scene(PREVIEW.replace('name="shapeIndex" value="1"', 'name="shapeIndex" value="2"')),
+        Refused(('<shape type="serialized">', "line", "'matpreview.serialized' has 2 meshes", "'shape_index' 2")),
+        made("envmap.exr", "matpreview.serialized"),
+    ),
+    Entry(
         "materials that have gone",
         _scene(OLD_MATERIALS),
         Loads(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
+
 from tests.corpus.entry import Entry, Loads, Refused
-from tests.corpus.things import made
+from tests.corpus.things import made, ply
 
 
 def _camera(width: int = 16, height: int = 12, kind: str = "perspective", more: str = "") -> str:
@@ -126,6 +128,14 @@ MERGED = """
     <shape type="merge"><shape type="cube"/><shape type="rectangle"/></shape>
 """
 
+MEASURED = """
+    <shape type="cube">
+        <bsdf type="twosided">
+            <bsdf type="measured"><string name="filename" value="materials/vinyl_rgb.bsdf"/></bsdf>
+        </bsdf>
+    </shape>
+"""
+
 ENTRIES = [
     Entry(
         "in parts",
@@ -175,6 +185,18 @@ ENTRIES = [
             defaults={"integrator": "volpathmis", "max_depth": 100, "rr_depth": 256},
         ),
         made("cloud.vol"),
+    ),
+    Entry(
+        "a measured material",
+        _scene(MEASURED, LIGHT),
+        Loads(1, 12, "constant", "measured twosided"),
+        made("materials/vinyl_rgb.bsdf"),
+    ),
+    Entry(
+        "a mesh that is packed",
+        _scene('<shape type="ply"><string name="filename" value="lucy.ply.gz"/></shape>', LIGHT),
+        Refused(('<shape type="ply">', "line", "'lucy.ply.gz' is packed by gzip", "unpack it")),
+        {"lucy.ply.gz": gzip.compress(ply())},
     ),
     Entry("spectra", _scene(SPECTRA), Loads(3, 14, "area", "diffuse principled"), made("paint.spd")),
     Entry(

@@ -14,6 +14,8 @@ import numpy as np
 import OpenImageIO
 from PIL import Image
 
+from tests.tensors import material, written
+
 SQUARE = ((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0))
 CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
 """Texture coordinates of the square."""
@@ -82,6 +84,7 @@ _KINDS: dict[str, Callable[[], bytes]] = {
     ".ply": ply,
     ".serialized": serialized,
     ".vol": volume,
+    ".bsdf": lambda: written(material()),
     ".png": lambda: picture("PNG"),
     ".jpg": lambda: picture("JPEG"),
     ".tga": lambda: picture("TGA"),

@@ -332,7 +332,7 @@ def test_a_job_tells_what_its_image_lacks_and_what_its_algorithm_says(
     upload = tmp_path / "glass.xml"
     upload.write_text(GLASS)
     glass, _ = farm.add_scene(upload, "glass.xml")
-    asked = RenderSettings(integrator="path", light_sampling="power", width=32, height=32)
+    asked = RenderSettings(integrator="path", light_sampling="power", width=32, height=32, max_depth=8)
     first = farm.submit(glass.digest, asked, StopCriterion(samples=2))
     assert len(first.warnings) == 1
     assert "'point' that comes by way of 'dielectric'" in first.warnings[0]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.tensors import material, written
 from tests.zoo.entry import ONE_WAY, Dict, Entry, specular
 from tests.zoo.stage import ball, bitmap, camera, diffuse, noise, rgb, scene
 
@@ -157,6 +158,23 @@ def hair(mi: Any, folder: Path) -> Dict:
     )
 
 
+def measured(mi: Any, folder: Path) -> Dict:
+    """A ball of a measured material that is not the same from both ends of a path, as measurements never are."""
+    varied = {
+        "jacobian": np.ones(1, np.uint8),
+        "ndf": noise(21, 6, 6),
+        "sigma": noise(22, 6, 6, low=0.3),
+        "vndf": noise(23, 1, 3, 6, 6),
+        "luminance": noise(24, 1, 3, 6, 6, low=0.3),
+        "rgb": noise(25, 1, 3, 3, 6, 6, high=0.4),
+    }
+    fields = {
+        name: np.asarray(values, np.uint8 if name == "jacobian" else np.float32) for name, values in varied.items()
+    }
+    (folder / "varied.bsdf").write_bytes(written(material(**fields)))
+    return scene(mi, ball=ball({"type": "measured", "filename": str(folder / "varied.bsdf")}))
+
+
 PRINCIPLED = {
     "type": "principled",
     "base_color": {"type": "rgb", "value": [0.7, 0.5, 0.3]},
@@ -195,6 +213,7 @@ ENTRIES = [
     Entry("polarizers", polarizers, "polarizer, retarder, circular and pplastic, unpolarized", specular()),
     Entry("principled", on_the_ball(PRINCIPLED), "principled with every lobe", max_depth=7),
     Entry("principledthin", principled_thin, "principledthin pane with every lobe"),
+    Entry("measured", measured, "measured, not reciprocal"),
     Entry("twosided", two_sides, "twosided with two different sides"),
     Entry(
         "hair",

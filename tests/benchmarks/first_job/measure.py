@@ -20,7 +20,7 @@ from elps_core import device
 from elps_core.errors import DeviceUnavailable
 from elps_core.estimate.stats import rel_mse, relative_squares
 from elps_core.io.exr import read_exr
-from elps_core.scene.loader import canonicalize
+from elps_core.scene.canonical import canonicalize
 from tests.benchmarks.common import TRIM, render
 from tests.benchmarks.equal_time import REFERENCE_SEED
 from tests.benchmarks.first_job.ratios import block_sums

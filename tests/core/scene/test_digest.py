@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from elps_core.scene.canonical import canonicalize
 from elps_core.scene.digest import context_digest, render_digest
-from elps_core.scene.loader import canonicalize
 from elps_core.settings import ContextSettings, RenderSettings
 
 from .conftest import OBJ, SENSOR, folder_of, mesh, scene_xml, zip_of

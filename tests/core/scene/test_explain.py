@@ -10,6 +10,9 @@ from .conftest import OBJ, Reject, load, mesh, png, scene_xml
 
 BITMAP = '<texture type="bitmap" name="reflectance"><string name="filename" value="a.png"/>{}</texture>'
 
+INDEX = '<float name="int_ior" value="{}"/><float name="ext_ior" value="{}"/>'
+TWO_INDICES = '<float name="eta" value="1.3"/><float name="specular" value="1"/>'
+
 
 def material(content: str, kind: str = "diffuse") -> str:
     return f'<shape type="rectangle"><bsdf type="{kind}">{content}</bsdf></shape>'
@@ -30,6 +33,11 @@ def placed(name: str, place: str) -> str:
         (material('<string name="material" value="Unobtainium"/>', "conductor"), ["'Unobtainium'", "'material'"]),
         (material('<float name="weight" value="1"/>', "blendbsdf"), ["blendbsdf", "two materials"]),
         (material('<bsdf type="dielectric"/>', "twosided"), ["twosided", "light passes"]),
+        (material(INDEX.format(1.3, 1.3), "hair"), ["hair", "must be positive and differ"]),
+        (material(INDEX.format(-1.0, 1.3), "dielectric"), ["dielectric", "'int_ior' and 'ext_ior' must be positive"]),
+        (material('<float name="alpha_u" value="1"/>', "roughconductor"), ["roughconductor", "give both"]),
+        (material(TWO_INDICES, "principled"), ["principled", "'eta'"]),
+        (material('<rgb name="reflectance" value="1.5"/>'), ["colour", "from 0 to 1"]),
         ('<emitter type="envmap"/>', ["envmap", "needs the parameter 'filename'"]),
         (mesh("obj", "bad.obj"), ["obj", "names a vertex"]),
         (placed("flat.obj", '<transform name="to_world"><scale x="1" y="1" z="0"/></transform>'), ["'to_world'"]),

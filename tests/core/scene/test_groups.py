@@ -1,4 +1,4 @@
-"""Shapes of groups are known wherever they are asked for, and rendered as right as those that stand alone."""
+"""Shapes in groups are shapes of the scene: their materials scatter, and their triangles count."""
 
 from __future__ import annotations
 
@@ -11,7 +11,23 @@ import pytest
 from elps_core.scene.loader import load_scene
 from elps_core.settings import RenderSettings
 
-from .conftest import SENSOR
+from .conftest import SENSOR, load, scene_xml
+
+GROUP = """
+    <shape type="shapegroup" id="g"><shape type="cube"/><shape type="sphere"><bsdf type="plastic"/></shape></shape>
+    <shape type="instance"><ref id="g"/></shape><shape type="instance"><ref id="g"/></shape>
+    <shape type="disk"/>"""
+
+
+def test_every_shape_is_found_in_a_scene_with_instances(tmp_path: Path) -> None:
+    loaded = load(tmp_path, scene_xml(GROUP))
+    from elps_core.scene.groups import every_shape  # here: it needs a variant
+
+    kinds = [shape.class_name() for shape in every_shape(loaded.scene)]
+    assert {"Cube", "Sphere", "Disk", "Instance"} <= set(kinds)
+    assert (kinds.count("Cube"), kinds.count("Sphere"), kinds.count("Instance")) == (1, 1, 2)
+    assert loaded.summary.triangles == 12
+
 
 ALONE = (
     '<shape type="cube"><transform name="to_world"><rotate y="1" angle="30"/><translate x="{0}"/></transform></shape>'

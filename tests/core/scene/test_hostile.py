@@ -138,7 +138,6 @@ def test_a_plugin_named_by_its_path_never_runs(name: str, tmp_path: Path, evil_p
         '<bsdf type="sphere" id="x"/>',
         '<bsdf type="diffuse.so" id="x"/>',
         '<shape type="blender"/>',
-        '<shape type="merge"/>',
         '<bsdf type="measured" id="x"><string name="filename" value="a.txt"/></bsdf>',
         '<sensor type="perspective"><film type="evil"/></sensor>',
         '<spectrum type="evil" name="x"/>',

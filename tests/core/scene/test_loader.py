@@ -13,7 +13,8 @@ import pytest
 
 from elps_core import device
 from elps_core.scene import loader, plugins
-from elps_core.scene.loader import canonicalize, load_scene
+from elps_core.scene.canonical import canonicalize
+from elps_core.scene.loader import load_scene
 
 from .conftest import (
     LIGHT,
@@ -150,6 +151,34 @@ def test_every_allowed_plugin_is_one_of_mitsubas_own() -> None:
     assert {
         name for name in plugins.INTEGRATORS if not name.startswith(("elps_", "prb", "direct_p", "volprim"))
     } <= built_in
+    # No other is left without a word.
+    refused = {name for _, name in plugins.REFUSED}
+    assert not refused & named
+    assert built_in == named | refused | (plugins.INTEGRATORS & built_in)
+
+
+def test_names_of_mitsuba_s_exporter_lose_no_object(tmp_path: Path) -> None:
+    """It writes those that objects without a name get: beside one of these, Mitsuba keeps the last alone."""
+    lamp = '<bsdf type="diffuse" id="grey"/><shape type="sphere"><ref name="_arg_0" id="grey"/>{}</shape>'
+    exported = load(tmp_path, scene_xml(lamp.format("")))
+    plain = load(tmp_path, scene_xml(lamp.replace('name="_arg_0" ', "").format("")))
+    assert exported.digest == plain.digest
+    both = load(tmp_path, scene_xml(lamp.format('<emitter type="area"/>'), light=""))
+    assert len(both.scene.emitters()) == 1
+    assert both.scene.shapes()[0].bsdf().id() == "grey"
+    blend = '<shape type="sphere"><bsdf type="blendbsdf"><float name="weight" value="0"/>{}</bsdf></shape>'
+    parts = ['<bsdf type="diffuse" name="{}"><float name="reflectance" value="0.25"/></bsdf>', '<bsdf type="plastic"/>']
+    for name in ("_arg_0", "_arg_1", "_arg_9"):
+        loaded = load(tmp_path, scene_xml(blend.format("".join(parts).format(name))))
+        assert "SmoothDiffuse" in str(loaded.scene.shapes()[0].bsdf()).split("nested_bsdf[1]")[0]
+
+
+@pytest.mark.parametrize(("tag", "name"), sorted(plugins.REFUSED))
+def test_a_plugin_that_is_left_out_is_refused_with_the_cure(
+    tag: str, name: str, tmp_path: Path, reject: Reject
+) -> None:
+    message = reject(load, tmp_path, scene_xml(f'<{tag} type="{name}"><string name="x" value="y"/></{tag}>'))
+    assert message.endswith(plugins.REFUSED[tag, name])
 
 
 @pytest.mark.parametrize("extension", ["png", "jpg", "exr", "hdr", "pfm", "bmp", "tga"])

@@ -13,6 +13,7 @@ from elps_core.scene import plugins, reach
 from elps_core.scene.loader import load_scene
 from elps_core.scene.summary import EmitterSummary, FilmSummary, SceneSummary, SensorSummary
 from elps_core.settings import RenderSettings, with_overrides
+from tests.tensors import material, written
 
 from .conftest import load, scene_xml
 
@@ -112,15 +113,17 @@ def test_an_image_that_nothing_reaches_is_refused() -> None:
     reach.check(pinhole, settings("mi_path"))
 
 
-def test_kinds_of_materials_are_what_mitsuba_says_of_them() -> None:
+def test_kinds_of_materials_are_what_mitsuba_says_of_them(tmp_path: Path) -> None:
     from elps_core import device
 
     mi = device.use("scalar_rgb")
     inner = {"type": "diffuse"}
+    (tmp_path / "a.bsdf").write_bytes(written(material()))
     parts = {
         "blendbsdf": {"a": inner, "b": inner, "weight": 0.5},
         "bumpmap": {"a": inner, "texture": {"type": "checkerboard"}},
         "mask": {"a": inner, "opacity": 0.5},
+        "measured": {"filename": str(tmp_path / "a.bsdf")},
         "normalmap": {"a": inner, "normalmap": {"type": "checkerboard"}},
         "twosided": {"a": inner},
     }

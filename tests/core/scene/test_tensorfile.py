@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -14,54 +12,21 @@ from elps_core import device
 from elps_core.scene import inspect, tensorfile
 from elps_core.scene.loader import load_scene
 from elps_core.scene.meshes import BadFileError
+from tests.tensors import REFLECTED, Fields, material, numbers, written
 
 from .conftest import VARIANT, Reject, load, scene_xml, zip_of
 
-REFLECTED = 0.1
-"""Radiance that the material sends on from each direction, per steradian: 2 pi times it is its albedo."""
-CODES = {"uint8": 1, "uint16": 3, "float32": 10, "float64": 11}
 BODY = (
     '<shape type="rectangle"><bsdf type="twosided">'
     '<bsdf type="measured"><string name="filename" value="a.bsdf"/></bsdf></bsdf></shape>'
 )
 
 
-def numbers(*shape: int, value: float = 1.0) -> np.ndarray[Any, Any]:
-    return np.full(shape, value, np.float32)
-
-
-def material(**others: Any) -> dict[str, np.ndarray[Any, Any]]:
-    """Fields of a material that reflects the same in all directions; ``others`` are in place of its own."""
-    return {
-        "description": np.frombuffer(b"even", np.uint8),
-        "jacobian": np.zeros(1, np.uint8),
-        "phi_i": numbers(1, value=0.0),
-        "theta_i": np.linspace(0, np.pi / 2, 3, dtype=np.float32),
-        "ndf": numbers(2, 2),
-        "sigma": numbers(2, 2),
-        "vndf": numbers(1, 3, 4, 5),
-        "luminance": numbers(1, 3, 4, 4),
-        "rgb": numbers(1, 3, 3, 4, 4, value=REFLECTED),
-        **others,
-    }
-
-
-def spectral() -> dict[str, np.ndarray[Any, Any]]:
+def spectral() -> Fields:
+    """The material measured at two wavelengths."""
     fields = material(wavelengths=np.array([400, 700], np.float32), spectra=numbers(1, 3, 2, 4, 4, value=REFLECTED))
     del fields["rgb"]
     return fields
-
-
-def written(fields: dict[str, np.ndarray[Any, Any]], **entries: tuple[int, ...]) -> bytes:
-    """A tensor file; ``entries`` says of some fields (offset, shape...) what is not so."""
-    size = 18 + sum(13 + len(name) + 8 * values.ndim for name, values in fields.items())
-    table, data = b"", b""
-    for name, values in fields.items():
-        offset, *shape = entries.get(name, (size + len(data), *values.shape))
-        table += struct.pack("<H", len(name)) + name.encode()
-        table += struct.pack(f"<HBQ{values.ndim}Q", values.ndim, CODES[values.dtype.name], offset, *shape)
-        data += values.tobytes()
-    return b"tensor_file\0" + struct.pack("<2BI", 1, 0, len(fields)) + table + data
 
 
 WHOLE = written(material())
@@ -170,14 +135,13 @@ def test_any_damage_is_refused_or_harmless(tmp_path: Path) -> None:
     table = WHOLE.index(b"even")
     refused = 0
     for at in range(table):
-        for value in (0, 0x7F, 0xFF):
-            changed = bytearray(WHOLE)
-            changed[at] = value
-            try:
-                check(tmp_path, bytes(changed))
-            except BadFileError:
-                refused += 1
-    assert refused > table
+        changed = bytearray(WHOLE)
+        changed[at] = (0, 0x7F, 0xFF)[at % 3]
+        try:
+            check(tmp_path, bytes(changed))
+        except BadFileError:
+            refused += 1
+    assert refused > table // 2
     for end in range(0, table, 7):
         with pytest.raises(BadFileError):
             check(tmp_path, WHOLE[:end])

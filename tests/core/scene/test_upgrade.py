@@ -366,3 +366,34 @@ def test_a_scene_of_blender_s_exporter_loads_and_says_what_it_changed() -> None:
     for words in ("roughdiffuse", "'phong'", "'sunsky'", "'sobol'", "banner", "attach_log", "high_quality_edges"):
         assert words in text
     assert all("\n" not in line and "line" in line for line in warnings)
+
+
+@pytest.mark.parametrize(
+    ("kind", "smooth"), [("roughdielectric", "dielectric"), ("roughplastic", "plastic"), ("pplastic", "plastic")]
+)
+@pytest.mark.parametrize(("inside", "outside"), [("1.30", "1.3"), ("Water", "1.333"), ("air", None)])
+def test_rough_surfaces_between_equal_indices_are_smooth_ones(
+    kind: str, smooth: str, inside: str, outside: str | None, tmp_path: Path
+) -> None:
+    """Mitsuba refuses them. Where nothing is reflected or bent, roughness changes nothing."""
+
+    def written_index(name: str, value: str | None) -> str:
+        tag = "string" if value and value[0].isalpha() else "float"
+        return f'<{tag} name="{name}" value="{value}"/>' if value else ""
+
+    indices = written_index("int_ior", inside) + written_index("ext_ior", outside)
+    rough = '<float name="alpha" value="0.2"/><string name="distribution" value="ggx"/>'
+    scene = '<scene version="3.0.0"><shape type="sphere"><bsdf type="{}">{}</bsdf></shape>{}</scene>'
+    root, warnings = upgraded(scene.format(kind, rough + indices, SENSOR), TODAY)
+    assert shape_of(root) == shape_of(tree(scene.format(smooth, indices, SENSOR)))
+    assert warnings == []
+    (tmp_path / "a.xml").write_text(scene.format(kind, rough + indices, SENSOR + LIGHT).replace("Water", "water"))
+    (shape,) = load_scene(tmp_path / "a.xml", VARIANT).scene.shapes()
+    assert shape.bsdf().class_name() == f"Smooth{smooth.capitalize()}"
+
+
+@pytest.mark.parametrize("index", ["", '<float name="int_ior" value="1.31"/><float name="ext_ior" value="1.3"/>'])
+def test_rough_surfaces_between_others_stay_rough(index: str) -> None:
+    scene = f'<scene version="3.0.0"><bsdf type="roughplastic">{index}<float name="alpha" value="0.2"/></bsdf></scene>'
+    root, _ = upgraded(scene, TODAY)
+    assert shape_of(root) == shape_of(tree(scene))
