@@ -138,7 +138,7 @@ class _Search:
         if emission.kinds & set(_AIMED):
             return "no lamp gives light to the scene: raise radiance or intensity, or turn the lamps to it"
         return (
-            "no lamp gives light: raise their radiance or intensity, which are 0 (or read from an image or an attribute "
+            "no lamp gives light: raise their radiance or intensity, which are 0 (or read from an image or attribute "
             "that is)"
         )
 
