@@ -23,6 +23,8 @@ SAVING, SAVING_PIXEL = 0.05, 4e-7
 """Seconds that it takes to write the image, and more for each of its pixels."""
 Report = Callable[[str, float], None]
 """Is told what is being done, and how much of the way to the end is behind, 0 to 1."""
+Warn = Callable[[str], None]
+"""Is told after each chunk why there is no light so far, a line each."""
 
 
 @dataclass
@@ -45,9 +47,16 @@ class ProgressiveRender:
     """Renders one image until the first limit of ``stop``, counted from ``begin`` (:func:`time.perf_counter`)."""
 
     def __init__(
-        self, scene: LoadedScene, settings: RenderSettings, stop: StopCriterion, begin: float, report: Report
+        self,
+        scene: LoadedScene,
+        settings: RenderSettings,
+        stop: StopCriterion,
+        begin: float,
+        report: Report,
+        warn: Warn = lambda _: None,
     ) -> None:
         self._scene, self._settings, self._stop, self._begin, self._report = scene, settings, stop, begin, report
+        self._warn = warn
         self._saving = SAVING + SAVING_PIXEL * scene.size[0] * scene.size[1]
         self._preparing = 0.0
         self._compiling = 0.0
@@ -148,7 +157,9 @@ class ProgressiveRender:
         return count
 
     def _tell(self, merged: Accumulation) -> None:
-        """Report how much of the way to the nearest limit is done."""
+        """Report how much of the way to the nearest limit is done, and why there is no light so far."""
+        for line in merged.darkness:
+            self._warn(line)
         stop, shares = self._stop, []
         if stop.samples is not None:
             shares.append(merged.spp / stop.samples)

@@ -142,7 +142,7 @@ class Renderer:
             filtered = None if filtered is None else np.where(odd, np.float32(0.0), filtered)
         seconds = time.perf_counter() - begin
         colours = image[..., : len(self._canvas.names)]
-        dark = () if colours.any() or odd.any() else self._reasons_for_darkness
+        dark = () if colours.any() or left_out.any() else self._reasons_for_darkness
         seen = self._seen_at(left_out)
         return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, seen, dark)
 

@@ -90,14 +90,21 @@ def render(
         loading = time.perf_counter() - begin
         reach.check(loaded.summary, settings)
         unreachable = reach.unreachable(loaded.summary, settings)
+        told: set[str] = set()
+
+        def warn(line: str) -> None:
+            if line not in told:
+                told.add(line)
+                console.print(f"warning: {line}", highlight=False, markup=False, soft_wrap=True)
+
         for warning in (*loaded.summary.warnings, *unreachable):
-            console.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
+            warn(warning)
         found = _saved(settings, context, progress)
 
         def report(what: str, share: float) -> None:
             progress.update(task, description=what, total=1.0, completed=share)
 
-        rendered = ProgressiveRender(loaded, settings, stop, begin, report).run(found)
+        rendered = ProgressiveRender(loaded, settings, stop, begin, report, warn).run(found)
         if context is not None and rendered.context is not None and not rendered.hit:
             save(rendered.context, context)
         elif context is not None and rendered.context is None:
@@ -135,7 +142,7 @@ def render(
         "output": str(output),
     }
     for warning in merged.warnings():
-        console.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
+        warn(warning)
     for line in renderer.choice.lines():
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     relative = figures["relative_error"]
