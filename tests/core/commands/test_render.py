@@ -141,10 +141,9 @@ def test_samples_that_are_not_finite_are_told_everywhere(tmp_path: Path) -> None
 def test_a_black_image_is_an_image_and_says_why(tmp_path: Path) -> None:
     """It ends by an error that it does not have, and the reason is there before it has ended."""
     scene, output = tmp_path / "dark.xml", tmp_path / "image.exr"
+    hidden = '<sensor type="perspective"><float name="near_clip" value="99"/></sensor>'
     scene.write_text(
-        GLASS.replace(
-            '<sensor type="perspective"/>', '<sensor type="perspective"><float name="near_clip" value="9"/></sensor>'
-        )
+        BALL.replace(BALL[BALL.index("<sensor") : BALL.index("<emitter")], hidden).replace("constant", "point")
     )
     done = elps("render", str(scene), "-o", str(output), "--size", "8x6", "--error", "0.05", "--json")
     assert done.returncode == 0, done.stderr
