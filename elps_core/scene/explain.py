@@ -33,6 +33,8 @@ _SENTENCES = {
     "invalid index of refraction property": "its index is out of range or given twice: give 'eta' or 'specular'",
     "'alpha_u' and 'alpha_v' must be specified": "it has one of 'alpha_u' and 'alpha_v': give both",
     "Invalid RGB reflectance value": "a part of its colour is not in the range from 0 to 1",
+    "no probability mass": "its light is 0 everywhere: make it brighter, or leave it out",
+    "can only render in Spectral or RGB modes": "it needs colours: choose an 'rgb' or 'spectral' variant",
     "has the wrong type": "a parameter is of another type than it takes",
 }
 """Words of Mitsuba's -> what they mean."""

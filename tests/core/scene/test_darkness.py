@@ -140,3 +140,33 @@ def test_an_image_of_distances_is_not_dark(tmp_path: Path, mi: Any) -> None:
     merged = drawn(tmp_path, BALL, "mi_depth")
     assert merged.mean()[..., :3].any()
     assert merged.warnings() == ()
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_spectral", "llvm_ad_mono"])
+@pytest.mark.parametrize(
+    "light",
+    [
+        "",
+        LAMP.format(DIM),
+        LAMP.format(DIM.replace('"0"', '"0.0, 0, .0"')),
+        LAMP.format(DIM.replace("rgb", "float")),
+        LAMP.format('<spectrum name="intensity" value="400:0, 700:0e3"/>'),
+    ],
+)
+def test_no_light_is_no_light_in_every_variant(tmp_path: Path, mi: Any, light: str, variant: str) -> None:
+    """Mitsuba makes no lamp of a black colour where there are spectra."""
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0"><sensor type="perspective"/>{BALL}{light}</scene>')
+    try:
+        loaded = load_scene(tmp_path / "scene.xml", variant)
+        assert loaded.emission.count == 1
+        assert not loaded.emission.power.any()
+    finally:
+        mi.set_variant("llvm_ad_rgb")
+
+
+def test_what_is_nearly_black_is_left_as_it_is(tmp_path: Path, mi: Any) -> None:
+    del mi
+    for value in ("0, 0, 1e-3", "1e-3", "0.5"):
+        lamp = LAMP.format(DIM.replace('"0"', f'"{value}"'))
+        (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0"><sensor type="perspective"/>{BALL}{lamp}</scene>')
+        assert load_scene(tmp_path / "scene.xml", "llvm_ad_rgb").emission.power.all()
