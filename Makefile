@@ -1,5 +1,5 @@
 # Every target calls setup first; it ends at once where there is nothing to do.
-.PHONY: setup demo test test-core test-service thorough lint ci bench validate clean
+.PHONY: setup demo test test-core test-service thorough check lint ci bench validate clean
 
 setup:
 	@deploy/bootstrap.sh
@@ -20,6 +20,12 @@ test-service: setup
 # What proves the same again as well (tests/core/tiers.py): 6 minutes more.
 thorough: setup
 	@.venv/bin/python -m pytest -n 2 --dist loadfile -m "" tests/core
+
+# What most slips of the pen fall over: no rendering.
+check: lint
+	@.venv/bin/python -m pytest -n 2 tests/corpus tests/core/scene/test_hostile.py tests/core/scene/test_upgrade.py \
+	    tests/core/scene/test_reading.py tests/core/estimate tests/core/test_settings.py tests/core/selection/test_race.py \
+	    tests/worker/test_advance.py tests/worker/test_state.py
 
 lint: setup
 	@.venv/bin/ruff check

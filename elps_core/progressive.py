@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from elps_core.context.build import ContextBuilder
 from elps_core.context.store import GlobalContext
@@ -21,10 +22,14 @@ RESERVE = 0.97
 """Part of the time left that a chunk is sized for: rates vary by a few percent."""
 SAVING, SAVING_PIXEL = 0.05, 4e-7
 """Seconds that it takes to write the image, and more for each of its pixels."""
-Report = Callable[[str, float], None]
-"""Is told what is being done, and how much of the way to the end is behind, 0 to 1."""
-Warn = Callable[[str], None]
-"""Is told after each chunk why there is no light so far, a line each."""
+
+
+class Report(Protocol):
+    """Is told how far a render is."""
+
+    def __call__(self, what: str, share: float, merged: Accumulation | None = None) -> None:
+        """``what`` is being done, how much of the way to the end is behind (0 to 1), and the image so far."""
+        ...
 
 
 @dataclass
@@ -47,16 +52,9 @@ class ProgressiveRender:
     """Renders one image until the first limit of ``stop``, counted from ``begin`` (:func:`time.perf_counter`)."""
 
     def __init__(
-        self,
-        scene: LoadedScene,
-        settings: RenderSettings,
-        stop: StopCriterion,
-        begin: float,
-        report: Report,
-        warn: Warn = lambda _: None,
+        self, scene: LoadedScene, settings: RenderSettings, stop: StopCriterion, begin: float, report: Report
     ) -> None:
         self._scene, self._settings, self._stop, self._begin, self._report = scene, settings, stop, begin, report
-        self._warn = warn
         self._saving = SAVING + SAVING_PIXEL * scene.size[0] * scene.size[1]
         self._preparing = 0.0
         self._compiling = 0.0
@@ -157,9 +155,7 @@ class ProgressiveRender:
         return count
 
     def _tell(self, merged: Accumulation) -> None:
-        """Report how much of the way to the nearest limit is done, and why there is no light so far."""
-        for line in merged.darkness:
-            self._warn(line)
+        """Report how much of the way to the nearest limit is done."""
         stop, shares = self._stop, []
         if stop.samples is not None:
             shares.append(merged.spp / stop.samples)
@@ -168,4 +164,4 @@ class ProgressiveRender:
         if stop.error is not None:
             error = merged.relative_error()
             shares.append(min(1.0, stop.error / error) ** 2 if error else 0.0)
-        self._report(f"rendering, {merged.spp} spp", min(1.0, max(shares)))
+        self._report(f"rendering, {merged.spp} spp", min(1.0, max(shares)), merged)

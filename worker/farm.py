@@ -176,7 +176,7 @@ class Farm:
         size = self._checked_size(summary, settings)
         reach.check(summary, settings)
         settings = self._sharing(scene, settings, size)
-        context = context_digest(scene, settings.sensor, size, settings.measured) if settings.needs_context else None
+        context = _context_of(scene, settings, size) if settings.needs_context else None
         known = None if context is None else self.context(context)
         hit = None if context is None else known is not None and known.state == "ready"
         job = Job(
@@ -217,7 +217,7 @@ class Farm:
 
         def found(changes: dict[str, Any]) -> tuple[RenderSettings, ContextRecord | None]:
             other = with_overrides(settings, changes)
-            return other, self.context(context_digest(scene, settings.sensor, size, other.measured))
+            return other, self.context(_context_of(scene, other, size))
 
         _, own = found({})
         if own and own.state == "ready":
@@ -412,3 +412,8 @@ class Farm:
         if stop.samples is None and stop.seconds is None:
             return stop.model_copy(update={"seconds": limits.max_seconds})
         return stop
+
+
+def _context_of(scene: str, settings: RenderSettings, size: tuple[int, int]) -> str:
+    """Digest of the context that a job's settings ask for."""
+    return context_digest(scene, settings.sensor, size, settings.measured, settings.variant)

@@ -16,6 +16,7 @@ from elps_core.settings import RenderSettings, stop_or_default, suited, with_fil
 
 if TYPE_CHECKING:
     from elps_core.context.store import GlobalContext
+    from elps_core.estimate.film import Accumulation
 
 
 def render(
@@ -101,10 +102,12 @@ def render(
             warn(warning)
         found = _saved(settings, context, progress)
 
-        def report(what: str, share: float) -> None:
+        def report(what: str, share: float, merged: Accumulation | None = None) -> None:
             progress.update(task, description=what, total=1.0, completed=share)
+            for line in merged.darkness if merged is not None else ():
+                warn(line)
 
-        rendered = ProgressiveRender(loaded, settings, stop, begin, report, warn).run(found)
+        rendered = ProgressiveRender(loaded, settings, stop, begin, report).run(found)
         if context is not None and rendered.context is not None and not rendered.hit:
             save(rendered.context, context)
         elif context is not None and rendered.context is None:

@@ -87,7 +87,7 @@ class ContextBuilder:
         self._seconds = 0.0
         self._allowance = ENDLESS
         self._compiling = 0.0
-        self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings)
+        self.digest = context_digest(scene.digest, scene.sensor_index, scene.size, settings, scene.variant)
 
     @property
     def steps(self) -> int:

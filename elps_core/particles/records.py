@@ -21,6 +21,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from elps_core.settings import MAX_DEPTH
+
 PHOTON, IMPORTON = 0, 1
 """Values of ``kind``."""
 PACKET = 4
@@ -28,8 +30,8 @@ PACKET = 4
 PACKETS = 3
 """Of a record: position and weight, normal and a word for the rest, direction and room to spare."""
 RECORD_BYTES = 4 * PACKET * PACKETS
-DEPTH_BITS = 8
-"""Low bits of the word that hold the depth (settings.MAX_DEPTH fits); the rest is the kind."""
+DEPTH_BITS = MAX_DEPTH.bit_length()
+"""Low bits of the word that hold the depth; the rest is the kind."""
 
 Floats = NDArray[np.float32]
 Worth: TypeAlias = "Callable[[mi.Point2f], mi.Float]"
@@ -49,7 +51,7 @@ class ParticleArrays:
     normal: Floats  # [n, 3], shading normals, unit length
     direction: Floats  # [n, 3], unit vectors away from the surface, to where the particle comes from
     weight: Floats
-    depth: NDArray[np.uint8]
+    depth: NDArray[np.uint16]
     kind: NDArray[np.uint8]
 
 
@@ -97,7 +99,7 @@ class Particles:
             normal=vectors(self.normal),
             direction=vectors(self.direction),
             weight=np.array(self.weight, np.float32).reshape(-1),
-            depth=np.array(self.depth).astype(np.uint8).reshape(-1),
+            depth=np.array(self.depth).astype(np.uint16).reshape(-1),
             kind=np.array(self.kind).astype(np.uint8).reshape(-1),
         )
 

@@ -34,6 +34,15 @@ class RouletteRule:
     """By context: whether a path that ends is paid what the table expects it to find, and one that goes on pays for it.
     Then it is what paths find beyond that alone that roulette makes noise of, and they may end early."""
 
+    def __post_init__(self) -> None:
+        """Refuse payment of what nothing tells.
+
+        Raises:
+            ValueError: paths would be paid without roulette by context.
+        """
+        if self.pays and self.kind != "context":
+            raise ValueError("only roulette by context pays paths that end")
+
     def survival(self, beta: mi.Spectrum, eta: mi.Float, albedo: mi.Spectrum, depth: mi.UInt32) -> mi.Float:
         """Probability to continue after a scattering event at ``depth``.
 

@@ -8,9 +8,10 @@ import drjit as dr
 import mitsuba as mi
 
 from elps_core.paths.mis import Partial
+from elps_core.settings import MAX_DEPTH
 
-DEPTH_BITS = 8
-"""Low bits of the packed word that hold the depth (settings.MAX_DEPTH fits); the rest is the shape."""
+DEPTH_BITS = MAX_DEPTH.bit_length()
+"""Low bits of the packed word that hold the depth; the rest is the shape."""
 PACKET = 4
 """Floats moved by one gather or scatter; wider packets brought nothing."""
 

@@ -43,7 +43,7 @@ def surroundings_digest(canonical: str) -> str:
     return _digest("surroundings", SCENE_FORMAT, canonical)
 
 
-def context_digest(scene: str, sensor: int, size: tuple[int, int], settings: ContextSettings) -> str:
+def context_digest(scene: str, sensor: int, size: tuple[int, int], settings: ContextSettings, variant: str) -> str:
     """Digest of a global context.
 
     Args:
@@ -52,10 +52,12 @@ def context_digest(scene: str, sensor: int, size: tuple[int, int], settings: Con
         size: (width, height) in pixels; only the aspect ratio enters, so that a preview and its final
             image share one context.
         settings: how the context is measured.
+        variant: where it is measured: its device alone enters, because trials tell what is the fastest on that.
     """
     common = math.gcd(*size)
     aspect = [size[0] // common, size[1] // common]
-    return _digest("context", CONTEXT_FORMAT, [scene, sensor, aspect, settings.model_dump(mode="json")])
+    device = variant.partition("_")[0]
+    return _digest("context", CONTEXT_FORMAT, [scene, sensor, aspect, settings.model_dump(mode="json"), device])
 
 
 def render_digest(scene: str, settings: RenderSettings, size: tuple[int, int]) -> str:

@@ -46,18 +46,23 @@ def with_parts(shapes: list[mi.Shape]) -> list[mi.Shape]:
 
 
 def local_reach(scene: mi.Scene) -> float:
-    """How far from the origins of their groups instances have their surfaces, in world units; 0 without instances.
+    """How far from the origins of their groups instances have their surfaces at most, in world units; 0 without any.
 
-    Single precision rounds the coordinates of what they repeat there, before they are put in place. No instance tells
-    which group it repeats: the farthest surface of all groups is taken, and the largest scale of all instances.
+    Single precision rounds the coordinates of what they repeat there, before they are put in place. An instance does
+    not tell which group it repeats: the largest of all scales counts for the farthest part of all groups.
     """
-    instances = [shape for shape in scene.shapes() if shape.class_name() == "Instance"]
-    if not instances:
+    placed = scene.shapes()
+    matrices = [
+        np.array(mi.traverse(shape)["to_world"].matrix, np.float64).reshape(4, 4)[:3, :3]
+        for shape in placed
+        if shape.class_name() == "Instance"
+    ]
+    if not matrices:
         return 0.0
-    boxes = [shape.bbox() for shape in every_shape(scene)[len(scene.shapes()) :] if shape.class_name() != "ShapeGroup"]
-    farthest = max((np.linalg.norm(np.array(box.center(), np.float64).ravel()) for box in boxes), default=0.0)
-    maps = [np.array(mi.traverse(each)["to_world"].matrix, np.float64).reshape(4, 4)[:3, :3] for each in instances]
-    return float(farthest * max(np.linalg.norm(each, 2) for each in maps))
+    parts = [part for part in _parts(scene) if part not in placed and part.class_name() != "ShapeGroup"]
+    centres = [np.array(part.bbox().center(), np.float64).ravel() for part in parts]
+    scale = max(float(np.linalg.norm(matrix, 2)) for matrix in matrices)
+    return scale * max((float(np.linalg.norm(centre)) for centre in centres), default=0.0)
 
 
 def numbers(shapes: list[mi.Shape]) -> NDArray[np.int64]:

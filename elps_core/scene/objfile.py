@@ -25,7 +25,22 @@ _ODD = re.compile(
     rb"|^[ \t]*(?:v|vn|vt|f)[ \t][^\n#]*#",  # comments behind numbers
     re.MULTILINE,
 )
+"""Lines that Mitsuba misreads."""
 _CONTINUED = re.compile(rb"\\[ \t]*\r?\n")
+_BLANK, _COMMENT, _MINUS, _DIGIT, _LETTER = 1, 2, 4, 8, 16
+"""Kinds of characters; the letters are of numbers that are none."""
+_KINDS = np.zeros(256, np.uint8)
+"""Of each character."""
+for _characters, _kind in (
+    (b" \t", _BLANK),
+    (b"#", _COMMENT),
+    (b"-", _MINUS),
+    (b"123456789", _DIGIT),
+    (b"aAiI", _LETTER),
+):
+    _KINDS[list(_characters)] = _kind
+_MOST_CORNERS = 4
+"""Of a face that Mitsuba reads whole; each has a blank before it."""
 _TINY = 1e-30
 """Length below which a normal has no direction."""
 
@@ -39,7 +54,27 @@ def mended(file: BinaryIO) -> tuple[bytes, list[str]] | None:
     if file_size(file) == 0:
         return None
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        return None if _ODD.search(data) is None else _Rewriting().run(data[:])
+        odd = b"\\" in data or (_may_be_odd(data) and _ODD.search(data) is not None)
+        return _Rewriting().run(data[:]) if odd else None
+
+
+def _may_be_odd(data: mmap.mmap) -> bool:
+    """Whether some line may be one of :data:`_ODD`, by the characters in each: those that are odd are all among them.
+
+    Looking for the expression itself takes two seconds for 24 MB, this a tenth of that.
+    """
+    text = np.frombuffer(data, np.uint8)
+    begins = np.concatenate([[0], np.flatnonzero(text[:-1] == ord("\n")) + 1])
+    first, second = text[begins], text[np.minimum(begins + 1, len(text) - 1)]
+    kinds = _KINDS[text]
+    there = np.bitwise_or.reduceat(kinds, begins)
+    blanks = np.add.reduceat(kinds & _BLANK, begins, dtype=np.int32)
+    face, normal = first == ord("f"), (first == ord("v")) & (second == ord("n"))
+    moved_in = (_KINDS[first] & _BLANK) != 0
+    comments = ((there & _COMMENT) != 0) & (first != ord("#"))
+    faces = face & (((there & _MINUS) != 0) | (blanks > _MOST_CORNERS))
+    normals = normal & (((there & _DIGIT) == 0) | ((there & _LETTER) != 0))
+    return bool((moved_in | comments | faces | normals).any())
 
 
 class _Rewriting:

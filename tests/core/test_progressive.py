@@ -155,7 +155,7 @@ def test_a_job_that_is_shorter_than_any_preparation_has_none(box: LoadedScene, s
     stop = StopCriterion(samples=samples)
     told: list[str] = []
     begin = time.perf_counter() + 1e6  # No time has passed, however long it takes
-    rendered = ProgressiveRender(box, settings_of(1), stop, begin, lambda what, _: told.append(what)).run()
+    rendered = ProgressiveRender(box, settings_of(1), stop, begin, lambda what, *_: told.append(what)).run()
     assert (rendered.context, rendered.merged.spp, rendered.preparing) == (None, samples, 0.0)
     assert min(rendered.merged.chunks) >= MEANTIME
     assert all("rendering" in what for what in told)

@@ -45,7 +45,8 @@ roulette from depth 5 and `llvm_ad_rgb`. Losses stand beside wins.
 PLUS = "A plus marks files that differed from the commit."
 TRIMMED = f"""
 The worst {TRIM:.0%} of the pixels of either image are left out: what a few fireflies decide shows in the difference
-from the table above. No intervals, because which pixels are left out depends on both ways.
+from the table above. No intervals, because which pixels are left out depends on both ways. Fireflies behind the doors
+are caustics of the ball of glass and the teapot, which eye paths of all ways meet by chance.
 """.strip()
 FIGURES = """
 Means over runs. *over* is the time above what was asked for, of the process from outside and by its own clock.

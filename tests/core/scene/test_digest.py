@@ -28,7 +28,7 @@ def digest_of(folder: Path, files: dict[str, bytes]) -> str:
 
 def test_form() -> None:
     form = re.compile(r"sha256:[0-9a-f]{64}")
-    assert form.fullmatch(context_digest(SCENE, 0, (4, 3), ContextSettings()))
+    assert form.fullmatch(context_digest(SCENE, 0, (4, 3), ContextSettings(), "llvm_ad_rgb"))
     assert form.fullmatch(render_digest(SCENE, RenderSettings(), (4, 3)))
 
 
@@ -197,12 +197,14 @@ def test_context_settings_enter_only_where_a_context_is_used() -> None:
 
 def test_a_context_depends_on_aspect_but_not_on_resolution() -> None:
     def of(size: tuple[int, int], **change: Any) -> str:
-        return context_digest(SCENE, change.pop("sensor", 0), size, ContextSettings(**change))
+        sensor, variant = change.pop("sensor", 0), change.pop("variant", "llvm_ad_rgb")
+        return context_digest(SCENE, sensor, size, ContextSettings(**change), variant)
 
     assert of((640, 480)) == of((1600, 1200)) == of((4, 3))
     others = {of((640, 481)), of((480, 640)), of((4, 3), sensor=1), of((4, 3), seed=1), of((4, 3), resolution=32)}
     assert len(others) == 5
     assert of((4, 3)) not in others
+    assert of((4, 3), variant="llvm_ad_spectral") == of((4, 3)) != of((4, 3), variant="cuda_ad_rgb")
 
 
 def test_a_scene_digest_does_not_change_by_accident(tmp_path: Path) -> None:

@@ -29,6 +29,17 @@ def test_every_shape_is_found_in_a_scene_with_instances(tmp_path: Path) -> None:
     assert loaded.summary.triangles == 12
 
 
+def test_instances_reach_as_far_as_their_groups_stand_off(tmp_path: Path) -> None:
+    moved = '<transform name="to_world"><scale value="2"/><translate x="-100"/></transform>'
+    ball = '<shape type="sphere"><point name="center" x="50" y="0" z="0"/></shape>'
+    away = GROUP.replace('<shape type="cube"/>', ball)
+    loaded = load(tmp_path, scene_xml(away.replace('<ref id="g"/></shape><', f'<ref id="g"/>{moved}</shape><', 1)))
+    from elps_core.scene.groups import local_reach
+
+    assert local_reach(loaded.scene) / loaded.scale >= 99.0
+    assert local_reach(load(tmp_path, scene_xml('<shape type="sphere"/>')).scene) == 0.0
+
+
 ALONE = (
     '<shape type="cube"><transform name="to_world"><rotate y="1" angle="30"/><translate x="{0}"/></transform></shape>'
 )
@@ -57,18 +68,3 @@ def test_what_is_repeated_is_lit_as_what_stands_alone(tmp_path: Path, mi: Any, a
     expected = drawn(tmp_path, ALONE.format(0), algorithm)
     assert expected > 0.001
     assert drawn(tmp_path, AGAIN.format(far), algorithm) == pytest.approx(expected, rel=0.002)
-
-
-def test_the_reach_of_instances_is_that_of_their_groups(mi: Any) -> None:
-    from elps_core.scene.groups import local_reach
-
-    def reach(**more: Any) -> float:
-        move = mi.ScalarTransform4f().translate
-        block = {"type": "cube", "to_world": move([0, 30, 40])}
-        return local_reach(mi.load_dict({"type": "scene", "group": {"type": "shapegroup", "block": block}, **more}))
-
-    again = {"type": "instance", "group": {"type": "ref", "id": "group"}}
-    assert reach(one={"type": "sphere", "center": [99, 0, 0]}) == 0.0
-    assert reach(one=again) == pytest.approx(50.0)
-    larger = again | {"to_world": mi.ScalarTransform4f().scale([2, 1, 1])}
-    assert reach(one=again, two=larger) == pytest.approx(100.0)

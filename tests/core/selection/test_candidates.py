@@ -28,7 +28,7 @@ from elps_core.selection.candidates import (
     fit_candidates,
     plain_of,
 )
-from elps_core.settings import ENDLESS, ContextSettings, RenderSettings, with_overrides
+from elps_core.settings import ENDLESS, MAX_DEPTH, ContextSettings, RenderSettings, with_overrides
 
 AUTO = RenderSettings(integrator="auto")
 ENTRY: dict[str, Any] = {"error": 0.0, "mean": 1.0, "mean_error": 0.0, "microseconds": 1.0, "samples": 9}
@@ -251,10 +251,8 @@ def test_a_choice_tells_its_evidence() -> None:
     assert choose(RenderSettings(integrator="path"), None).lines() == []
 
 
-def test_where_paths_have_no_greatest_depth_none_are_joined() -> None:
-    endless = RenderSettings(max_depth=-1)
-    best = choose(endless, all_but(GUIDED_BDPT))
-    assert best.settings.longest == ENDLESS
-    assert choose(RenderSettings(), all_but(GUIDED_BDPT)).name == GUIDED_BDPT.name
-    alone = choose(endless, statistics({BDPT: 1.0, GUIDED_BDPT: 2.0}))
-    assert alone.name == GUIDED_BDPT.name
+def test_paths_without_a_greatest_depth_may_be_joined() -> None:
+    best = choose(RenderSettings(max_depth=-1), all_but(GUIDED_BDPT))
+    assert (best.name, best.settings.longest) == (GUIDED_BDPT.name, MAX_DEPTH)
+    lone = choose(RenderSettings(max_depth=-1), all_but(GUIDED_PATH))
+    assert (lone.name, lone.settings.longest) == (GUIDED_PATH.name, ENDLESS)
