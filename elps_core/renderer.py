@@ -23,7 +23,7 @@ from elps_core.integrators.canvas import Canvas
 from elps_core.integrators.leftout import Counts, seen_at
 from elps_core.paths.stream import key_seed
 from elps_core.scene import darkness
-from elps_core.scene.explain import in_one_line
+from elps_core.scene.failing import told
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import PATH, Choice, choose, fit_candidates, plain_of
@@ -40,6 +40,7 @@ class Renderer:
     Raises:
         ContextMismatch: the context does not belong to the scene, or is missing where it is needed.
         SceneRejected: something in the scene that the integrator does not support.
+        RenderFailed: Mitsuba fails at something in the scene.
     """
 
     def __init__(self, scene: LoadedScene, settings: RenderSettings, context: GlobalContext | None = None) -> None:
@@ -48,7 +49,8 @@ class Renderer:
         self.choice = self._choose(context)
         """What renders, of what was asked for."""
         self.size = scene.size
-        self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
+        with told(settings.integrator):
+            self.frames = None if settings.integrator.startswith("mi_") else self._prepare(context)
         """What renders frames by one of our own integrators; None for one of Mitsuba's."""
         self._baseline = self._mitsuba_integrator() if self.frames is None else None
         film = scene.sensor.film()
@@ -99,7 +101,6 @@ class Renderer:
         """Samples per pixel of chunk ``index``."""
         return chunk_spp(index, self.choice.settings, self.size)
 
-    @in_one_line()
     def render_chunk(self, index: int, spp: int | None = None) -> Chunk:
         """Render chunk ``index``; the same index gives the same image to float rounding.
 
@@ -108,8 +109,12 @@ class Renderer:
         Samples that are not finite are left out, and pixels whose sums are not: see :attr:`Chunk.left_out`.
 
         Raises:
-            RenderFailed: Mitsuba cannot evaluate a texture, or this integrator of its own cannot render the scene.
+            RenderFailed: Mitsuba fails at something in the scene.
         """
+        with told(self.settings.integrator):
+            return self._chunk(index, spp)
+
+    def _chunk(self, index: int, spp: int | None) -> Chunk:
         begin = time.perf_counter()
         count = spp or self.chunk_spp(index)
         alpha: _Image | None = None
@@ -137,13 +142,13 @@ class Renderer:
             filtered = None if filtered is None else np.where(odd, np.float32(0.0), filtered)
         seconds = time.perf_counter() - begin
         colours = image[..., : len(self._canvas.names)]
-        dark = () if colours.any() or odd.any() else self._reasons_for_darkness
+        dark = () if colours.any() or left_out.any() else self._reasons_for_darkness
         seen = self._seen_at(left_out)
         return Chunk(index, count, seconds, image, weight, statistics, channels, filtered, seen, dark)
 
     @cached_property
     def _reasons_for_darkness(self) -> tuple[str, ...]:
-        return darkness.reasons(self.scene)
+        return darkness.reasons(self.scene, self.settings)
 
     def _seen_at(self, left_out: Counts) -> dict[str, int]:
         return seen_at(self.scene.scene, self.scene.sensor, left_out) if left_out.any() else {}
@@ -165,9 +170,7 @@ class Renderer:
         """
         seed = key_seed(self.settings.seed, index) & 0xFFFFFFFF
         scene, sensor, canvas = self.scene.scene, self.scene.sensor, self._canvas
-        failed = f"Mitsuba's own '{self.settings.integrator}' cannot render this scene: choose path"
-        with in_one_line(otherwise=failed):
-            mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
+        mi.render(scene, sensor=sensor, integrator=self._baseline, seed=dr.opaque(mi.UInt32, seed), spp=spp)
         stored = np.array(sensor.film().develop(raw=True), np.float32)
         sums, weight = stored[..., :-1], stored[..., -1]
         if not weight.any():  # Light paths alone: the film holds radiance.

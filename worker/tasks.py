@@ -188,7 +188,14 @@ class Child:
             self._give_up(lease, GIVEN_UP)
             return None
         job = waiting[0].job
-        settings = self._parts.settings
+        if self._run(lease, job, body):
+            return lease
+        self.warm.forget_scenes()  # No error holds them any more
+        return None
+
+    def _run(self, lease: Lease, job: Job, body: Callable[[Job], None]) -> bool:
+        """Whether ``body`` ran to its end; else its work is given up, offered again or left to others."""
+        work, settings = lease.work, self._parts.settings
         try:
             with kept(self._parts.board, lease, settings.lease_seconds, settings.stall_seconds):
                 body(job)
@@ -206,8 +213,8 @@ class Child:
             elif self._parts.board.release(lease):
                 self._parts.queue.send(offer_for(job, work))
         else:
-            return lease
-        return None
+            return True
+        return False
 
     def _waiting(self, work: Work) -> list[JobEntry]:
         state = self._parts.state

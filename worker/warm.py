@@ -5,6 +5,7 @@ Only the child that Celery forks uses this: it is the one place of the package t
 
 from __future__ import annotations
 
+import gc
 import tempfile
 import time
 from collections import OrderedDict
@@ -61,6 +62,10 @@ class Recent(Generic[K, V]):
     def forget(self, key: K) -> None:
         """Drop one value."""
         self._values.pop(key, None)
+
+    def clear(self) -> None:
+        """Drop all values."""
+        self._values.clear()
 
 
 class Warm:
@@ -165,6 +170,17 @@ class Warm:
     def forget_builder(self, digest: str) -> None:
         """Give back the memory of a context that is finished."""
         self._builders.forget(digest)
+
+    def forget_scenes(self) -> None:
+        """Take all scenes out of memory, and what renders them.
+
+        Dr.Jit asks the materials and lamps of every scene in memory whenever it makes a kernel: one that Mitsuba has
+        failed at would fail in the kernels of other scenes.
+        """
+        self._scenes.clear()
+        self._renderers.clear()
+        self._builders.clear()
+        gc.collect()
 
     def accumulation(self, job: Job, meantime: float) -> Accumulation:
         """What this process has merged of a job so far; begun anew where the weight of the ``meantime`` is another."""

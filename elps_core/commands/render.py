@@ -16,6 +16,7 @@ from elps_core.settings import RenderSettings, stop_or_default, suited, with_fil
 
 if TYPE_CHECKING:
     from elps_core.context.store import GlobalContext
+    from elps_core.estimate.film import Accumulation
 
 
 def render(
@@ -90,12 +91,21 @@ def render(
         loading = time.perf_counter() - begin
         reach.check(loaded.summary, settings)
         unreachable = reach.unreachable(loaded.summary, settings)
+        told: set[str] = set()
+
+        def warn(line: str) -> None:
+            if line not in told:
+                told.add(line)
+                console.print(f"warning: {line}", highlight=False, markup=False, soft_wrap=True)
+
         for warning in (*loaded.summary.warnings, *unreachable):
-            console.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
+            warn(warning)
         found = _saved(settings, context, progress)
 
-        def report(what: str, share: float, merged: object = None) -> None:  # noqa: ARG001
+        def report(what: str, share: float, merged: Accumulation | None = None) -> None:
             progress.update(task, description=what, total=1.0, completed=share)
+            for line in merged.darkness if merged is not None else ():
+                warn(line)
 
         rendered = ProgressiveRender(loaded, settings, stop, begin, report).run(found)
         if context is not None and rendered.context is not None and not rendered.hit:
@@ -135,7 +145,7 @@ def render(
         "output": str(output),
     }
     for warning in merged.warnings():
-        console.print(f"warning: {warning}", highlight=False, markup=False, soft_wrap=True)
+        warn(warning)
     for line in renderer.choice.lines():
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     relative = figures["relative_error"]

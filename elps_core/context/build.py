@@ -23,7 +23,7 @@ from elps_core.errors import ContextMismatch, NothingScatters
 from elps_core.sampling.start import StartDensity, power_table
 from elps_core.scene.digest import context_digest
 from elps_core.scene.emission import Emission
-from elps_core.scene.explain import in_one_line
+from elps_core.scene.failing import told
 from elps_core.scene.loader import LoadedScene
 from elps_core.scene.sensors import Camera
 from elps_core.selection.candidates import (
@@ -128,11 +128,14 @@ class ContextBuilder:
         self._compared = self._compared or begun
         return begun
 
-    @in_one_line()
+    @told()
     def step(self, allowance: Allowance = ENDLESS) -> None:
         """Take the next step; none is left when :attr:`done` equals :attr:`steps`.
 
         The last step ends by the ``allowance``, and what is there by then is used.
+
+        Raises:
+            RenderFailed: Mitsuba fails at something in the scene.
         """
         begin = time.perf_counter()
         dr.flush_malloc_cache()  # Each step has larger arrays, and no use for memory of the sizes before

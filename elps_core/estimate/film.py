@@ -217,18 +217,24 @@ class Accumulation:
 
     def warnings(self) -> tuple[str, ...]:
         """What there is to say against the image, a line each."""
-        black = tuple(f"the image is black: {reason}" for reason in self.dark if not self._shines())
         if not self.left_out:
-            return black
+            return self.darkness
         count, samples = sum(self.left_out.values()), self.spp * self.width * self.height
         named = sorted(self.left_out, key=lambda name: (-self.left_out[name], name))
         others = [f"and {len(named) - MOST_NAMED} other things"] if len(named) > MOST_NAMED else []
         seen = ", ".join([*named[:MOST_NAMED], *others])
         what = f"{count:,} samples that are not finite are left out (the image has {samples:,})"
-        return (f"{what}: their pixels show {seen}; check these materials, and how bright the lights are", *black)
+        return (
+            f"{what}: their pixels show {seen}; check these materials, and how bright the lights are",
+            *self.darkness,
+        )
 
-    def _shines(self) -> bool:
-        return bool(self._sum[..., : len(self.channels) - (self.channels == RGBA)].any())
+    @property
+    def darkness(self) -> tuple[str, ...]:
+        """Why the image is black, a line each; empty where it has light."""
+        if self._sum[..., : len(self.channels) - (self.channels == RGBA)].any():
+            return ()
+        return tuple(f"the image is black: {reason}" for reason in self.dark)
 
     def mean(self) -> Image:
         """The image, float32 [height, width, channels]; zeros where nothing was sampled."""

@@ -26,6 +26,11 @@ from elps_core.scene.text import few
 MAX_SCENE_BYTES = 4 * 2**30
 """Memory that all files of a scene may take together, each counted as often as it is used."""
 _NO_NAME = re.compile(r"_arg_[0-9]+")
+_LIGHT = frozenset({"radiance", "irradiance", "intensity"})
+"""Parameters of emitters that say how much light they give."""
+_NOTHING = r"[+-]?(?:0+\.?0*|\.0+)(?:[eE][+-]?[0-9]{1,4})?"
+_BLACK = re.compile(rf"(?:[0-9.]{{1,20}}:)?{_NOTHING}(?:[\s,]+(?:[0-9.]{{1,20}}:)?{_NOTHING})*")
+"""Values that are 0 throughout: a number, a colour, or a curve of wavelengths and values."""
 _NO_CAMERA = "the scene has no <sensor>: a camera stands in front of it, looks along z and sees all of it"
 
 
@@ -119,7 +124,8 @@ def canonicalize(
     if size is not None:
         rules.check_film_size(*size)
         _resize(sensors[sensor], objects, size)
-    text, nodes = markup.write(scene, absolute)
+    _say_black(objects)
+    text, nodes = markup.write(_with_emitter(scene, objects), absolute)
     return CanonicalScene(
         text,
         tuple(nodes),
@@ -153,6 +159,26 @@ def _plain(node: Node) -> None:
         else:
             whole.append(child)
     node.children = whole
+
+
+def _say_black(objects: list[Node]) -> None:
+    """Write light that is 0 as a constant spectrum: variants with spectra make none of a black colour or curve."""
+    for node in objects:
+        for child in node.children if node.tag == "emitter" else ():
+            light = child.tag in ("rgb", "float", "spectrum") and child.attributes.get("name") in _LIGHT
+            if light and _BLACK.fullmatch(child.attributes.get("value", "").strip()):
+                child.tag, child.attributes = "spectrum", {**child.attributes, "value": "0"}
+
+
+def _with_emitter(root: Node, objects: list[Node]) -> Node:
+    """The scene, with an emitter that gives no light where it has none: every algorithm begins or ends at one."""
+    if any(node.tag == "emitter" for node in objects):
+        return root
+    dark = Node("emitter", {"type": "directional"}, root.line)
+    dark.children = [Node("spectrum", {"name": "irradiance", "value": "0"}, root.line)]
+    whole = copy(root)
+    whole.children = [*root.children, dark]
+    return whole
 
 
 def _without_sensors(root: Node) -> Node:

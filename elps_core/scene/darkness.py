@@ -1,6 +1,13 @@
-"""Why an image may be black: what a person looks for in a scene that shows nothing, asked of the scene itself."""
+"""Why an image is black, as far as its scene, its camera and its settings tell: one line each, with a cure.
+
+Asked once a chunk has no light at all, which is a second after rendering has begun. A few thousand rays say what the
+camera meets, where lamps shine to, and whether a closed surface stands between them.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -9,96 +16,225 @@ from numpy.typing import NDArray
 
 from elps_core.arrays import on_device
 from elps_core.errors import SceneRejected
+from elps_core.scene.emission import Emission
 from elps_core.scene.groups import every_shape, numbers
 from elps_core.scene.loader import LoadedScene
+from elps_core.scene.spectrum import sample_wavelengths
 from elps_core.scene.text import shown
+from elps_core.settings import RenderSettings
 
-GRID = 32
-"""Rays a side that look at what the camera sees."""
-DIRECTIONS = 64
-"""Rays that tell what a point lies in."""
-NEARLY_ALL = 0.9
-"""Part of these that leave a closed surface when they begin within; rays through edges are met twice, or not at all."""
+Numbers: TypeAlias = "NDArray[np.int64]"
+
+RAYS = 4096
+"""Rays from the camera and from lamps: what a thousandth of them meets is not overlooked."""
+AROUND = 256
+"""Rays from the camera into all directions."""
+CLOSED = 0.9
+"""Share of the rays from a point that meet a surface an odd number of times, from which on it encloses the point: rays
+through edges may count one time too many, and meshes may have pinholes."""
+HALF = 0.5
+"""Share of a lamp's rays for which it is inside a closed surface: all of them or none, but for a lamp across it."""
 MOST_SURFACES = 64
-"""Surfaces that a ray is followed through."""
-_SUNS = frozenset({"sunsky", "timed_sunsky"})
-_NO_EMITTER = "the scene has no emitter: add one"
-_SUN_DOWN = "the sun is below the horizon, where it and its sky are black: check its direction, or the time"
-_NO_RADIANCE = "the radiance of every emitter is 0: make one brighter"
-_CLIPPED = "the near or far clip plane of the camera hides all shapes: check near_clip and far_clip"
-_LOOKS_PAST = "the camera looks past all shapes: check its to_world"
-_UNLIT = (
-    "no light was found on what the camera sees: an area light shines to the side of its normals alone, "
-    "and walls may stand between"
-)
+"""Surfaces that are counted along one ray."""
+_SKIES = ("sunsky", "timed_sunsky")
+_AIMED = ("spot", "projector", "directional")
+"""Emitters that may shine past a scene."""
+_PLANES = ("PerspectiveCamera", "ThinLensCamera", "OrthographicCamera")
+"""Cameras with clip planes."""
 
 
-def reasons(loaded: LoadedScene) -> tuple[str, ...]:
-    """Why the chosen camera's image may be black, each with its cure; the likeliest first, and one at least."""
-    if not loaded.scene.emitters():
-        return (_NO_EMITTER,)
-    try:
-        dark = not loaded.emission.power.any()
-    except SceneRejected:  # emitters that only Mitsuba's integrators know
-        dark = False
-    if dark:
-        suns = all(emitter.type in _SUNS for emitter in loaded.summary.emitters)
-        return (_SUN_DOWN if suns else _NO_RADIANCE,)
-    around = _shapes_around(loaded)
-    if around:
-        return tuple(f"the camera stands inside {name}: move it out, or check its to_world" for name in around)
-    return (_unseen(loaded) or _UNLIT,)
+def reasons(loaded: LoadedScene, settings: RenderSettings) -> tuple[str, ...]:
+    """The likely reasons of the black image of a scene's camera, or the little that is known."""
+    if not loaded.summary.emitters:
+        return ("the scene has no emitter: add one",)
+    if not loaded.summary.shapes:
+        return ("the scene has no shapes: there is nothing that light falls on",)
+    return tuple(_Search(loaded, settings).lines())
 
 
-def _shapes_around(loaded: LoadedScene) -> list[str]:
-    """Closed shapes that the camera is inside of, where no emitter is inside of them as well."""
-    shapes = every_shape(loaded.scene)
-    matrix = np.array(loaded.sensor.world_transform().matrix, np.float64).reshape(4, 4)
-    around = _around(loaded.scene, matrix[:3, 3])
-    if not around or loaded.scene.environment() is not None:
-        return [_called(shape) for shape, number in zip(shapes, numbers(shapes), strict=True) if number in around]
-    for emitter in loaded.scene.emitters():
-        around -= _around(loaded.scene, np.array(emitter.bbox().center(), np.float64).ravel())
-    return [_called(shape) for shape, number in zip(shapes, numbers(shapes), strict=True) if number in around]
+@dataclass(frozen=True)
+class _Beams:
+    """Rays from lamps."""
+
+    rays: mi.Ray3f
+    emitter: Numbers
+    """Index of the emitter of each ray [n]; -1 where it carries no light."""
+    arrive: bool
+    """Whether any ray with light meets a surface."""
 
 
-def _around(scene: mi.Scene, point: NDArray[np.float64]) -> set[int]:
-    """Numbers of the shapes that nearly all rays from a point cross an odd number of times."""
-    # No axis: what people make has edges and diagonals along these.
-    directions = np.random.default_rng(1).normal(size=(3, DIRECTIONS))
-    directions /= np.linalg.norm(directions, axis=0)
-    # A kernel for all points.
-    ray = mi.Ray3f(
-        mi.Point3f(*(on_device(mi.Float, np.full(DIRECTIONS, x, np.float32)) for x in point)),
-        mi.Vector3f(*(on_device(mi.Float, row.astype(np.float32)) for row in directions)),
-    )
-    crossings: dict[int, NDArray[np.int64]] = {}
-    for _ in range(MOST_SURFACES):
-        si = scene.ray_intersect(ray)
-        met = np.array(dr.reinterpret_array(mi.UInt32, si.shape))
-        if not met.any():
-            break
-        for number in np.unique(met[met > 0]):
-            crossings.setdefault(int(number), np.zeros(DIRECTIONS, np.int64))[met == number] += 1
-        ray = si.spawn_ray(ray.d)
-        ray.maxt = dr.select(si.is_valid(), ray.maxt, -1.0)
-        dr.eval(ray)
-    return {number for number, count in crossings.items() if np.mean(count % 2 == 1) >= NEARLY_ALL}
+class _Search:
+    """Looks for reasons in one scene."""
 
+    def __init__(self, loaded: LoadedScene, settings: RenderSettings) -> None:
+        self._scene, self._sensor, self._settings = loaded.scene, loaded.sensor, settings
+        self._random = np.random.default_rng(0)
+        try:
+            self._emission: Emission | None = loaded.emission
+        except SceneRejected:  # Lamps that Mitsuba's integrators alone know: nothing is said of them.
+            self._emission = None
 
-def _unseen(loaded: LoadedScene) -> str | None:
-    """Why the camera sees no shape; None where it sees one, or an environment."""
-    if loaded.scene.environment() is not None:
+    def lines(self) -> list[str]:
+        """Reasons, each with its cure."""
+        rays = self._camera_rays()
+        si = self._scene.ray_intersect(rays)
+        if not dr.any(si.is_valid()):
+            return [self._nothing_met(rays)]
+        if self._settings.integrator == "mi_depth":  # It shows no light.
+            return []
+        if self._settings.longest == 1:
+            return ["max_depth is 1, which shows lamps alone, and the camera sees none: make it 2 or more"]
+        emission = self._emission
+        if emission is not None and not emission.power.any():
+            return [self._no_power(emission)]
+        found = []
+        if emission is not None:
+            beams = self._beams(emission)
+            if (between := self._shut_off(emission, rays, beams)) is not None:
+                return [between]
+            if not beams.arrive:
+                found.append(
+                    "the lamps shine past all shapes, or out of the scene: turn them round (area lights shine to the "
+                    "side of their normals alone: 'flip_normals' of their shape)"
+                )
+        if (surfaces := self._no_reflection(si)) is not None:
+            found.append(surfaces)
+        return found or [
+            "no path was found from a lamp to what the camera sees: something shuts them off from each other, "
+            "max_depth is too small, or such paths are so rare that it takes more samples"
+        ]
+
+    def _uniform(self) -> mi.Point2f:
+        return mi.Point2f(*(on_device(mi.Float, self._random.random(RAYS, np.float32)) for _ in range(2)))
+
+    def _camera_rays(self) -> mi.Ray3f:
+        rays, _ = self._sensor.sample_ray(float(self._sensor.shutter_open()), 0.5, self._uniform(), mi.Point2f(0.5))
+        return mi.Ray3f(rays)
+
+    def _nothing_met(self, rays: mi.Ray3f) -> str:
+        """Why the camera sees no surface."""
+        if self._sensor.class_name() in _PLANES:
+            matrix = np.array(self._sensor.world_transform().matrix, np.float64).reshape(4, 4)
+            origin, axis = mi.Point3f(matrix[:3, 3]), mi.Vector3f(matrix[:3, 2])
+            clipped = dr.dot(rays.o - origin, axis) / dr.dot(rays.d, axis)
+            met = self._scene.ray_intersect(mi.Ray3f(rays.o - clipped * rays.d, rays.d))
+            if dr.any(met.is_valid() & (met.t < clipped)):
+                return "the camera's 'near_clip' lies beyond all that it would see: make it smaller"
+            if dr.any(met.is_valid()):
+                return "the camera's 'far_clip' lies in front of all that it would see: make it larger"
+        if self._settings.hide_emitters and self._scene.environment() is not None:
+            return "the camera sees nothing but the surroundings, which 'hide_emitters' hides: turn it to the shapes"
+        return "the camera looks past all shapes: turn it to them, or move it (by its 'to_world')"
+
+    def _no_power(self, emission: Emission) -> str:
+        """Why no lamp gives light."""
+        if emission.kinds & set(_SKIES):
+            sky = mi.traverse(self._scene.environment())
+            if any(float(np.array(sky[name]).ravel()[0]) > 0.0 for name in ("sun_scale", "sky_scale")):
+                return (
+                    "the sun is below the horizon, and the sky without light: change its direction, or time and place "
+                    "(z is up, unless its 'to_world' turns it)"
+                )
+        if emission.kinds & set(_AIMED):
+            return "no lamp gives light to the scene: raise radiance or intensity, or turn the lamps to it"
+        return (
+            "no lamp gives light: raise their radiance or intensity, which are 0 (or read from an image or attribute "
+            "that is)"
+        )
+
+    def _beams(self, emission: Emission) -> _Beams:
+        able = np.flatnonzero(emission.power)
+        emitter = self._random.choice(able, RAYS)
+        wavelengths, _ = sample_wavelengths(on_device(mi.Float, self._random.random(RAYS, np.float32)))
+        point = emission.point(on_device(mi.UInt32, emitter), self._uniform(), wavelengths, mi.Bool(True))
+        rays = emission.first_ray(point, self._uniform(), mi.Bool(True))
+        radiance, cosine = emission.radiance(point, rays.d, mi.Bool(True))
+        shine = _lanes(dr.any(radiance > 0.0) & (cosine > 0.0), RAYS)
+        arrive = _lanes(self._scene.ray_intersect(rays).is_valid(), RAYS)
+        return _Beams(rays, np.where(shine, emitter, -1), bool((shine & arrive).any()))
+
+    def _shut_off(self, emission: Emission, camera: mi.Ray3f, beams: _Beams) -> str | None:
+        """What is said of a closed surface that no light passes, between the camera and all lamps; None without one."""
+        directions = self._random.normal(size=(3, AROUND)).astype(np.float32)
+        around = dr.normalize(mi.Vector3f(*(on_device(mi.Float, axis) for axis in directions)))
+        lane = dr.arange(mi.UInt32, AROUND)
+        origin = mi.Point3f(*(dr.gather(mi.Float, dr.zeros(mi.Float, RAYS) + axis, lane) for axis in camera.o))
+        shapes = every_shape(self._scene)
+        by_camera, by_lamps = self._inside(mi.Ray3f(origin, around)), self._inside(beams.rays)
+        for number, shape in zip(numbers(shapes).tolist(), shapes, strict=True):
+            if (number in by_camera or number in by_lamps) and not _lets_light_through(shape):
+                holds_camera = bool(by_camera.get(number, np.zeros(1)).mean() >= CLOSED)
+                emitter = beams.emitter
+                if shape.is_emitter():  # Its own rays begin on it, and go out.
+                    own = int(emission.index_of(mi.EmitterPtr(shape.emitter()), mi.Bool(True))[0])
+                    emitter = np.where(emitter == own, -1, emitter)
+                held = _held(emitter, by_lamps.get(number, np.zeros(RAYS, bool)))
+                if holds_camera and not held.any():
+                    return (
+                        f"the camera is inside a closed surface, {_called(shape)}, with no lamp in there: move the "
+                        "camera out of it"
+                    )
+                if not holds_camera and held.size and held.all() and not shape.is_emitter():
+                    return f"all lamps are inside a closed surface, {_called(shape)}: move them out of it"
         return None
-    place = (np.arange(GRID) + 0.5) / GRID
-    x, y = (on_device(mi.Float, axis.ravel().astype(np.float32)) for axis in np.meshgrid(place, place))
-    ray, _ = loaded.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
-    if np.array(loaded.scene.ray_test(ray)).any():
-        return None
-    ray.o = ray.o - ray.d * (loaded.sensor.near_clip() if hasattr(loaded.sensor, "near_clip") else 0.0)
-    ray.maxt = dr.largest(mi.Float)
-    return _CLIPPED if np.array(loaded.scene.ray_test(ray)).any() else _LOOKS_PAST
+
+    def _inside(self, rays: mi.Ray3f) -> dict[int, NDArray[np.bool_]]:
+        """For each shape that rays meet, by its number: which rays [n] meet it an odd number of times."""
+        count, active = dr.width(rays), mi.Bool(True)
+        odd: dict[int, NDArray[np.bool_]] = {}
+        for _ in range(MOST_SURFACES):
+            si = self._scene.ray_intersect(rays, active)
+            valid = _lanes(si.is_valid(), count)
+            if not valid.any():
+                break
+            met = np.where(valid, _lanes(dr.reinterpret_array(mi.UInt32, si.shape), count), 0)
+            for number in np.unique(met[valid]).tolist():
+                odd[number] = odd.get(number, np.zeros(count, bool)) ^ (met == number)
+            rays, active = si.spawn_ray(rays.d), si.is_valid()
+            dr.eval(rays, active)
+        return odd
+
+    def _no_reflection(self, si: mi.SurfaceInteraction3f) -> str | None:
+        """What is said where nothing that the camera sees reflects or lets light through; None where something does."""
+        if self._reflects(si):
+            return None
+        si.wi.z = -si.wi.z
+        if self._reflects(si):
+            return (
+                "the camera sees nothing but the backs of surfaces, which materials of one side leave black: turn "
+                "their normals ('flip_normals'), or put the materials into a 'twosided'"
+            )
+        return "all that the camera sees has black materials: raise their reflectance"
+
+    def _reflects(self, si: mi.SurfaceInteraction3f) -> bool:
+        u = on_device(mi.Float, self._random.random(RAYS, np.float32))
+        _, weight = si.bsdf().sample(mi.BSDFContext(), si, u, self._uniform(), si.is_valid())
+        return bool(dr.any(si.is_valid() & dr.any(weight > 0.0)))
+
+
+def _lets_light_through(shape: mi.Shape) -> bool:
+    passing = int(mi.BSDFFlags.Transmission) | int(mi.BSDFFlags.Null)
+    material = shape.bsdf()
+    return material is None or bool(int(material.flags()) & passing)
 
 
 def _called(shape: mi.Shape) -> str:
     return f"'{shown(shape.id())}'" if shape.id() else f"a {shape.class_name().lower()}"
+
+
+def _held(emitter: Numbers, odd: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """For each emitter that has rays with light: whether it is inside.
+
+    Args:
+        emitter: of each ray [n]; -1 where it has no light.
+        odd: whether it meets the surface an odd number of times [n].
+    """
+    lit = emitter >= 0
+    count = np.bincount(emitter[lit])
+    inside = np.bincount(emitter[lit & odd], minlength=len(count))
+    return np.asarray((inside > HALF * count)[count > 0])
+
+
+def _lanes(values: Any, count: int) -> NDArray[Any]:
+    """An array of a kernel [count], also where it is one number for all lanes."""
+    return np.broadcast_to(np.array(values), count)

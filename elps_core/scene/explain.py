@@ -7,10 +7,8 @@ the element itself has, and sentences that are known here.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
-from elps_core.errors import RenderFailed
 from elps_core.scene.markup import Node
 from elps_core.scene.text import shown
 
@@ -35,17 +33,11 @@ _SENTENCES = {
     "invalid index of refraction property": "its index is out of range or given twice: give 'eta' or 'specular'",
     "'alpha_u' and 'alpha_v' must be specified": "it has one of 'alpha_u' and 'alpha_v': give both",
     "Invalid RGB reflectance value": "a part of its colour is not in the range from 0 to 1",
+    "no probability mass": "its light is 0 everywhere: make it brighter, or leave it out",
+    "can only render in Spectral or RGB modes": "it needs colours: choose an 'rgb' or 'spectral' variant",
     "has the wrong type": "a parameter is of another type than it takes",
 }
 """Words of Mitsuba's -> what they mean."""
-_WHILE_RENDERING = {
-    "mesh does not have UV coordinates": "a texture lies on a mesh without texture coordinates: add them to its file, "
-    "or take a colour",
-    "eval_1_grad(): not implemented": "a bump map has a texture that bumps cannot be made of: take an image",
-    "sample_spectrum(): not implemented": "an emitter has a texture that this integrator cannot draw light from: take "
-    "an image, or choose path",
-}
-"""The same of what Mitsuba says when it renders."""
 _MISSING = re.compile(r'Property "([a-z_0-9]{1,40})" cannot be found')
 _TYPED = re.compile(
     r'property "([A-Za-z_0-9]{1,40})" has the wrong type \(expected ([a-z/]{1,60}), got ([a-z]{1,20})\)'
@@ -87,30 +79,6 @@ def explain(raw: str, nodes: Sequence[Node]) -> str:
     if file:
         return f"{node}: Mitsuba cannot read the file '{shown(file)}': it is damaged, cut off or of another kind"
     return f"{node}: Mitsuba cannot make this object: check its parameters"
-
-
-@contextmanager
-def in_one_line(otherwise: str | None = None) -> Iterator[None]:
-    """Say in one line why Mitsuba cannot render a scene that it has made, where the reason is known.
-
-    Args:
-        otherwise: what is said where it is not; absent: the error stays.
-
-    Raises:
-        RenderFailed: Mitsuba's own error, or one that came of it, in our words.
-    """
-    try:
-        yield
-    except RuntimeError as error:
-        cause: BaseException | None = error
-        while cause is not None:
-            for words, sentence in _WHILE_RENDERING.items():
-                if words in str(cause):
-                    raise RenderFailed(sentence) from None
-            cause = cause.__cause__ or cause.__context__
-        if otherwise is None:
-            raise
-        raise RenderFailed(otherwise) from None
 
 
 def _file_of(node: Node) -> str:

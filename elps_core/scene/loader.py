@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from elps_core.scene.placement import Placement
 
 _EXPECTED = {
-    "emitter": "the scene has no emitters: the image will be black",
+    "emitter": "the scene has no emitters: the image will be black; add one",
     "shape": "the scene has no shapes: there is nothing to see",
 }
 """Element -> the warning where a scene has none."""
@@ -144,7 +144,8 @@ class _Made:
 
 
 def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
-    from elps_core.scene import groups, merging, placement, placing  # here: they need the variant that is set by now
+    # Here: they need the variant that is set by now.
+    from elps_core.scene import attributes, groups, merging, placement, placing
 
     _leave_only_mitsuba(mi_)
     config = mi_.parser.ParserConfig(variant)
@@ -161,11 +162,11 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
         measuring = placing.rough(state)
         if measuring.moves:
             placing.place(state, measuring)
-        names, maps = merging.candidates(state), placing.file_maps(state)
+        names, maps, reads = merging.candidates(state), placing.file_maps(state), attributes.read(state)
         parts = merging.make_parts(config, state)
         triangles = measure.triangles(groups.with_parts(merging.shapes_of(parts)))
         placed = placement.measured(merging.shapes_of(parts), measuring)
-        coarse = placement.coarse_meshes(parts, maps)
+        warnings = (*placement.coarse_meshes(parts, maps), *attributes.missing(parts, reads))
         if not placed.puts_as(measuring):
             del parts
             state = _parse(mi_, config, canonical)
@@ -184,7 +185,7 @@ def _instantiate(mi_: Any, canonical: CanonicalScene, variant: str) -> _Made:
         raise SceneRejected(explain(str(error), canonical.nodes)) from None
     finally:
         mi_.set_log_level(level)
-    return _Made(scene, triangles, placed, (*coarse, *placement.remote(scene, placed)))
+    return _Made(scene, triangles, placed, (*warnings, *placement.remote(scene, placed)))
 
 
 def _parse(mi_: Any, config: Any, canonical: CanonicalScene) -> Any:

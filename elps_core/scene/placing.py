@@ -94,7 +94,7 @@ def place_made(shapes: Iterable[mi.Shape], placement: Placement) -> None:
 
 def file_maps(state: Any) -> dict[str, Matrix]:
     """Parameters of a parsed scene that are meshes from files -> their to_world."""
-    nodes = {name: state.nodes[index] for name, index in _parts(state.root)}
+    nodes = {name: state.nodes[index] for name, index in parts_of(state.root)}
     return {
         name: _to_world(node.props)
         for name, node in nodes.items()
@@ -173,7 +173,7 @@ def _scale_value(state: Any, props: mi.Properties, name: str, factor: float) -> 
 def _standing(state: Any) -> list[int]:
     """Nodes that are shapes of the scene. Parts of groups are none: they stay where they are, and instances move."""
     groups = [node for node in state.nodes if node.props.plugin_name() == "shapegroup"]
-    grouped = {index for group in groups for _, index in _parts(group)}
+    grouped = {index for group in groups for _, index in parts_of(group)}
     return [
         number
         for number, node in enumerate(state.nodes)
@@ -183,10 +183,10 @@ def _standing(state: Any) -> list[int]:
 
 def _unshare(state: Any) -> None:
     """Give lamps spectra of their own, and shape groups copies of the shapes that stand in the scene as well."""
-    alone = {index for node in state.nodes if node.props.plugin_name() != "shapegroup" for _, index in _parts(node)}
+    alone = {index for node in state.nodes if node.props.plugin_name() != "shapegroup" for _, index in parts_of(node)}
     for number in range(len(state.nodes)):
         kind = state.nodes[number].props.plugin_name()
-        for name, index in _parts(state.nodes[number]):
+        for name, index in parts_of(state.nodes[number]):
             if (kind == "shapegroup" and index in alone) or name == _INTENSITY.get(kind):
                 copy, original = mi.parser.SceneNode(), state.nodes[index]
                 copy.type, copy.props = original.type, mi.Properties(original.props)
@@ -196,7 +196,7 @@ def _unshare(state: Any) -> None:
                 state.nodes[number].props[name] = mi.Properties.ResolvedReference(len(state.nodes) - 1)
 
 
-def _parts(node: Any) -> list[tuple[str, int]]:
+def parts_of(node: Any) -> list[tuple[str, int]]:
     """Parameters of a node that are other nodes, with their numbers."""
     resolved, props = mi.Properties.Type.ResolvedReference, node.props
     return [(name, props[name].index()) for name in props.keys() if props.type(name) == resolved]  # noqa: SIM118

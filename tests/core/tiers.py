@@ -60,6 +60,7 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
         "sum_to_one[cutoff]",
         "reference[mixed-",
     ),
+    "integrators/test_sensors.py": ("[1-pssmlt]",),  # Camera 0: 5 s
     "integrators/test_analytic.py": (
         "whole_of_its_paths[area]",  # point: 14 s
         "[pssmlt-point-8]",  # 14 s

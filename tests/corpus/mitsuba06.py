@@ -267,7 +267,7 @@ ENTRIES = [
     Entry(
         "preview of materials",
         _scene(PREVIEW),
-        Loads(2, 3, "envmap", "diffuse", BANNER, defaults=SAID),
+        Loads(2, 3, "envmap", "diffuse", (*BANNER, "no texture coordinates"), defaults=SAID),
         made("envmap.exr", "matpreview.serialized"),
     ),
     Entry(

@@ -67,12 +67,13 @@ class Contents:
         return lines
 
 
-def contents(scene: Any, cameras: int, scale: float = 1.0) -> Contents:
+def contents(scene: Any, cameras: int, emitters: int, scale: float = 1.0) -> Contents:
     """Count what is in a scene.
 
     Args:
         scene: a Mitsuba scene.
         cameras: how many of its cameras come from the file: all, or none.
+        emitters: the same of its emitters: a scene without any is given one that is black.
         scale: how much larger it is than its file says.
     """
     shapes = scene.shapes()
@@ -84,7 +85,7 @@ def contents(scene: Any, cameras: int, scale: float = 1.0) -> Contents:
     return Contents(
         sum(int(mesh.face_count()) for mesh in meshes),
         len(shapes) - len(meshes),
-        len(scene.emitters()),
+        len(scene.emitters()) if emitters else 0,
         len(scene.sensors()) if cameras else 0,
         (corners - eye) / scale,
     )
@@ -92,5 +93,5 @@ def contents(scene: Any, cameras: int, scale: float = 1.0) -> Contents:
 
 def differences(loaded: LoadedScene, theirs: Any) -> list[str]:
     """In what a scene that both load differs."""
-    cameras = len(theirs.sensors())
-    return contents(loaded.scene, cameras, loaded.scale).differences(contents(theirs, cameras))
+    ends = len(theirs.sensors()), len(theirs.emitters())
+    return contents(loaded.scene, *ends, loaded.scale).differences(contents(theirs, *ends))

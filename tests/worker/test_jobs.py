@@ -293,6 +293,32 @@ def test_what_the_renderer_refuses_reaches_the_user(farm: Farm, tmp_path: Path, 
     assert finished(farm, farm.submit(beam.digest, TINY, SHORT).id).state == "completed"
 
 
+BUMPY = (
+    BEAM[: BEAM.index("<shape")]
+    + """<emitter type="point"/><shape type="rectangle"><bsdf type="bumpmap">
+<texture type="checkerboard"/><bsdf type="diffuse"/></bsdf></shape></scene>"""
+)
+
+
+def test_what_mitsuba_fails_at_reaches_the_user_and_no_other_scene(farm: Farm, tmp_path: Path, hire: Hire) -> None:
+    hire()
+    records = {}
+    for what, content in (("bumpy", BUMPY), ("beam", BEAM)):
+        upload = tmp_path / f"{what}.xml"
+        upload.write_text(content)
+        records[what], _ = farm.add_scene(upload, upload.name)
+    for integrator in ("path", "mi_path"):
+        chosen = TINY.model_copy(update={"integrator": integrator, "light_sampling": "power"})
+        job = finished(farm, farm.submit(records["bumpy"].digest, chosen, SHORT).id)
+        assert (job.state, job.samples_done) == ("failed", 0)
+        assert (
+            job.message
+            == f"{integrator} cannot render this scene: a 'bumpmap' has a texture without slopes: make it a bitmap"
+        )
+    other = TINY.model_copy(update={"seed": 1})
+    assert finished(farm, farm.submit(records["beam"].digest, other, SHORT).id).state == "completed"
+
+
 GLASS = """<scene version="3.0.0">
 <sensor type="perspective"><film type="hdrfilm">
 <integer name="width" value="32"/><integer name="height" value="32"/></film></sensor>

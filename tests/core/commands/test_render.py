@@ -112,12 +112,13 @@ def test_light_that_is_lost_is_told_everywhere(tmp_path: Path) -> None:
     options = ("--size", "8x6", "--spp", "2", "--light-sampling", "power", "--json")
     done = elps("render", str(scene), "-o", str(output), "--integrator", "path", *options)
     assert done.returncode == 0, done.stderr
-    (warning,) = json.loads(done.stdout.strip().splitlines()[-1])["warnings"]
+    warning, dark = json.loads(done.stdout.strip().splitlines()[-1])["warnings"]
     assert "'spot' that comes by way of 'dielectric'" in warning
+    assert dark.startswith("the image is black: no path was found")
     assert f"warning: {warning}" in done.stderr.splitlines()
     assert read_exr(output)[1]["unreachable"] == warning
     again = elps("render", str(scene), "-o", str(output), "--integrator", "path", "--max-depth", "2", *options)
-    assert "warning" not in again.stderr
+    assert "by way of" not in again.stderr
     assert "unreachable" not in read_exr(output)[1]
 
 
@@ -135,6 +136,38 @@ def test_samples_that_are_not_finite_are_told_everywhere(tmp_path: Path) -> None
     assert "'lamp' of SmoothDielectric" in warning
     assert f"warning: {warning}" in done.stderr.splitlines()
     assert read_exr(output)[1]["warnings"] == warning
+
+
+def test_a_black_image_is_an_image_and_says_why(tmp_path: Path) -> None:
+    """It ends by an error that it does not have, and the reason is there before it has ended."""
+    scene, output = tmp_path / "dark.xml", tmp_path / "image.exr"
+    hidden = '<sensor type="perspective"><float name="near_clip" value="99"/></sensor>'
+    scene.write_text(
+        BALL.replace(BALL[BALL.index("<sensor") : BALL.index("<emitter")], hidden).replace("constant", "point")
+    )
+    done = elps("render", str(scene), "-o", str(output), "--size", "8x6", "--error", "0.05", "--json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout.strip().splitlines()[-1])
+    (warning,) = figures["warnings"]
+    assert "'near_clip'" in warning
+    assert figures["relative_error"] is None
+    lines = done.stderr.splitlines()
+    assert lines.count(f"warning: {warning}") == 1
+    assert lines.index(f"warning: {warning}") == 0
+    parts, attributes = read_exr(output)
+    assert not parts["image"].any()
+    assert attributes["warnings"] == warning
+
+
+def test_what_mitsuba_fails_at_is_one_line_and_status_2(tmp_path: Path) -> None:
+    scene = tmp_path / "bumps.xml"
+    bumps = '<bsdf type="bumpmap"><texture type="checkerboard"/><bsdf type="diffuse"/></bsdf>'
+    scene.write_text(GLASS.replace('<bsdf type="dielectric"/>', bumps))
+    done = elps("render", str(scene), "-o", str(tmp_path / "image.exr"), "--integrator", "mi_path", "--spp", "1")
+    assert done.returncode == 2
+    assert done.stderr.startswith("elps: mi_path cannot render this scene: a 'bumpmap'")
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == [scene]
 
 
 @pytest.mark.parametrize(

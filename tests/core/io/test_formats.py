@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -54,6 +55,8 @@ def test_the_file_has_the_channels_of_the_film(tmp_path: Path, pixels: str, name
         spec = file.spec()
         assert spec.getattribute("oiio:subimagename") == part
         assert set(spec.channelnames) == set(names)
+        assert spec.getattribute("PixelAspectRatio") == 1.0
+        assert spec.getattribute("compression") == "zip"
         assert str(spec.format) == ("half" if half and part == "image" else "float")
         assert (spec.alpha_channel >= 0) is film.has_alpha
     file.close()
@@ -68,6 +71,24 @@ def test_the_file_has_the_channels_of_the_film(tmp_path: Path, pixels: str, name
         grey = pixels.startswith("luminance")
         looks = shown(Part(parts["image"], names))
         assert looks == pytest.approx(np.repeat(wanted[..., :1], 3, -1) if grey else merged.mean()[..., :3], abs=2e-3)
+
+
+def test_the_file_of_a_crop_window_is_laid_out_as_mitsubas(tmp_path: Path, mi: Any) -> None:
+    """Only the window, from (0, 0) on: neither file says where in the film it lay."""
+    window = {"crop_offset_x": 7, "crop_offset_y": 5, "crop_width": 20, "crop_height": 10}
+    film = mi.load_dict({"type": "hdrfilm", "width": 40, "height": 30, "pixel_format": "rgba", **window})
+    film.prepare([])
+    film.write(mi.filesystem.path(str(tmp_path / "theirs.exr")))
+    merged = Accumulation.empty(20, 10)
+    image = np.zeros((10, 20, 4), np.float32)
+    merged.add(Chunk(0, 1, 0.1, image, image[..., 0] + 1.0, channels=RGBA))
+    asked = FilmSummary(pixels="rgba")
+    write_result(tmp_path / "ours.exr", merged, RenderSettings(), scene="a", render="b", context=None, film=asked)
+    theirs, ours = (oiio.ImageInput.open(str(tmp_path / name)).spec() for name in ("theirs.exr", "ours.exr"))
+    for name in ("roi", "roi_full", "channelnames", "alpha_channel"):
+        assert getattr(ours, name) == getattr(theirs, name), name
+    assert (ours.width, ours.height) == (20, 10)
+    assert ours.channelnames == ("R", "G", "B", "A")
 
 
 def test_numbers_that_16_bits_do_not_hold_have_32(tmp_path: Path) -> None:

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-from .conftest import load, scene_xml
+import numpy as np
+import pytest
+
+from elps_core.scene.loader import load_scene
+from elps_core.settings import RenderSettings
+
+from .conftest import SENSOR, load, scene_xml
 
 GROUP = """
     <shape type="shapegroup" id="g"><shape type="cube"/><shape type="sphere"><bsdf type="plastic"/></shape></shape>
@@ -31,3 +38,33 @@ def test_instances_reach_as_far_as_their_groups_stand_off(tmp_path: Path) -> Non
 
     assert local_reach(loaded.scene) / loaded.scale >= 99.0
     assert local_reach(load(tmp_path, scene_xml('<shape type="sphere"/>')).scene) == 0.0
+
+
+ALONE = (
+    '<shape type="cube"><transform name="to_world"><rotate y="1" angle="30"/><translate x="{0}"/></transform></shape>'
+)
+AGAIN = (
+    f'<shape type="shapegroup" id="g">{ALONE}</shape><shape type="instance"><ref id="g"/>'
+    '<transform name="to_world"><translate x="-{0}"/></transform></shape>'
+)
+LAMP = '<emitter type="point"><point name="position" value="1, 2, 4"/></emitter>'
+
+
+def drawn(folder: Path, shapes: str, algorithm: str) -> float:
+    """Mean of a small image in direct light, with the same random numbers for all."""
+    from elps_core.renderer import Renderer
+
+    (folder / "scene.xml").write_text(f'<scene version="3.0.0">{SENSOR}{shapes}{LAMP}</scene>')
+    settings = RenderSettings(integrator=algorithm, max_depth=2, light_sampling="uniform", roulette="throughput")
+    renderer = Renderer(load_scene(folder / "scene.xml", "llvm_ad_rgb", size=(8, 8)), settings)
+    return float(np.mean(renderer.render_chunk(0, 64).image))
+
+
+@pytest.mark.parametrize("algorithm", ["path", "bdpt"])
+@pytest.mark.parametrize("far", [0, 2000])
+def test_what_is_repeated_is_lit_as_what_stands_alone(tmp_path: Path, mi: Any, algorithm: str, far: int) -> None:
+    """Also where a group's shapes stand far from its origin, where single precision rounds their surfaces."""
+    del mi
+    expected = drawn(tmp_path, ALONE.format(0), algorithm)
+    assert expected > 0.001
+    assert drawn(tmp_path, AGAIN.format(far), algorithm) == pytest.approx(expected, rel=0.002)
