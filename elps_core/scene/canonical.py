@@ -28,7 +28,7 @@ MAX_SCENE_BYTES = 4 * 2**30
 _NO_NAME = re.compile(r"_arg_[0-9]+")
 _LIGHT = frozenset({"radiance", "irradiance", "intensity"})
 """Parameters of emitters that say how much light they give."""
-_NOTHING = r"[+-]?(?:0+\.?0*|\.0+)(?:[eE][+-]?[0-9]{1,4})?"
+_NOTHING = r"[+-]?(?:0+(?:\.0*)?|\.0+)(?:[eE][+-]?[0-9]{1,4})?"
 _BLACK = re.compile(rf"(?:[0-9.]{{1,20}}:)?{_NOTHING}(?:[\s,]+(?:[0-9.]{{1,20}}:)?{_NOTHING})*")
 """Values that are 0 throughout: a number, a colour, or a curve of wavelengths and values."""
 _NO_CAMERA = "the scene has no <sensor>: a camera stands in front of it, looks along z and sees all of it"
