@@ -11,8 +11,14 @@ from collections.abc import Mapping
 THOROUGH: Mapping[str, tuple[str, ...]] = {
     # The furnished room by area-shapes0; the others are rarer shapes of the same walks: 64 s.
     "particles/test_caustics.py": ("weights_are_those_that_eye_paths_find[constant-",),
-    # Cut off in three phases; the others differ in what the context already holds: 80 s.
-    "test_progressive.py": ("[never]", "[before the race]", "[with tables of one step]", "[before the first step]"),
+    # Cut off in two phases; the others differ in what the context already holds: 80 s.
+    "test_progressive.py": (
+        "[never]",
+        "[before the race]",
+        "[before there are regions]",
+        "[with tables of one step]",
+        "[before the first step]",
+    ),
     "integrators/test_context.py": (
         "test_no_tables_move_what_chains_find",  # bdpt's paths by the same tables, chains in test_pssmlt: 41 s
         "test_no_tables_move_the_image_of_unjoined_paths",  # in a sphere, by test_no_tables_move_what_unjoined: 26 s
@@ -39,7 +45,7 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
     "context/test_adjoint.py": ("moves_the_mean[random]", "moves_the_mean[empty]"),  # spiked: 36 s
     "context/test_surroundings.py": ("test_a_camera_beside_needs_fewer_steps_and_has_the_same_light",),  # 20 s
     "context/test_departures.py": ("test_light_paths_gain_by_it",),  # leaves for the door: 9 s
-    "context/test_tables.py": ("fills_tables[metropolis]",),  # two other kinds: 8 s
+    "context/test_tables.py": ("fills_tables[metropolis]", "walls_reflect[metropolis]"),  # two other kinds: 19 s
     "context/test_lookup.py": ("error_on_surfaces[maze-", "error_on_surfaces[door-"),  # 13 s
     "particles/test_contract.py": ("furnished_room_both_are_those_of_path_tracing[metropolis]",),  # sphere: 15 s
     "particles/test_worth.py": ("[metropolis]",),
@@ -50,6 +56,7 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
         "[area-unjoined-128]",
         "[point-bdpt-128]",
         "numbers_are_kept_as_are_taken[pinhole-multiplexed]",
+        "numbers_are_kept_as_are_taken[lens-multiplexed]",
         "one_wavelength_on_both_sides[bidirectional]",
         "states_of_all_strategies[area-2]",
     ),
@@ -92,6 +99,7 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
         "[sunsky, spectral by bdpt]",  # 13 s
         "[bumpmap-conductor by bdpt]",  # 12 s
         "[mixed, spectral by bdpt]",
+        "[sunsky by bdpt]",  # path: 8 s
         "[facing-away by bdpt]",
         "[area-mesh by bdpt]",
         "[thinlens by bdpt]",
