@@ -11,14 +11,14 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
+
     from elps_core.api import Image, Progress, build_context, load_scene, register, render
     from elps_core.context.store import GlobalContext
     from elps_core.errors import ElpsError
     from elps_core.renderer import Renderer
     from elps_core.scene.loader import LoadedScene
     from elps_core.settings import ContextSettings, RenderSettings
-
-__version__ = version("elps")
 
 _MODULES = {
     "ContextSettings": "settings",
@@ -54,7 +54,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, from the module that defines it."""
+    """A public name, from the module that defines it; the version is that of what is installed."""
+    if name == "__version__":
+        return version("elps")
     if name not in _MODULES:
         raise AttributeError(f"module 'elps_core' has no attribute '{name}'")
     if name == "Renderer":  # its modules need a variant
