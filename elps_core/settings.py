@@ -424,6 +424,8 @@ def with_file_defaults(settings: RenderSettings, defaults: Mapping[str, Any]) ->
     """
     given = settings.model_fields_set
     changes = {name: value for name, value in defaults.items() if value is not None and name not in given}
+    if changes.get("max_depth") == UNLIMITED and settings.keeps_vertices:
+        changes["max_depth"] = MAX_DEPTH  # as long as it can keep: said in the settings, and no reason to warn
     return with_overrides(settings, changes) if changes else settings
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from elps_core.scene.summary import FileDefaults
-from elps_core.settings import RenderSettings, with_file_defaults
+from elps_core.settings import MAX_DEPTH, RenderSettings, with_file_defaults
 
 from .conftest import SENSOR, SQUARE, load, scene_xml
 
@@ -61,3 +61,9 @@ def test_what_was_given_wins_over_the_file() -> None:
     assert with_file_defaults(RenderSettings(), file).max_depth == 7
     given = with_file_defaults(RenderSettings(max_depth=RenderSettings().max_depth), file)
     assert (given.max_depth, given.rr_depth) == (RenderSettings().max_depth, 3)
+
+
+def test_what_keeps_vertices_takes_the_longest_paths_that_it_can_keep() -> None:
+    limits = {name: with_file_defaults(RenderSettings(integrator=name), {"max_depth": -1}).max_depth
+              for name in ("path", "auto", "bdpt", "pssmlt")}  # fmt: skip
+    assert limits == {"path": -1, "auto": -1, "bdpt": MAX_DEPTH, "pssmlt": MAX_DEPTH}
