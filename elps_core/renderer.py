@@ -148,7 +148,10 @@ class Renderer:
 
     @cached_property
     def _reasons_for_darkness(self) -> tuple[str, ...]:
-        return darkness.reasons(self.scene, self.settings)
+        try:
+            return darkness.reasons(self.scene, self.settings)
+        except RuntimeError:  # of Mitsuba's: what it cannot evaluate is no reason to lose the image
+            return ("something in the scene cannot be asked why: look at its lamps and materials",)
 
     def _seen_at(self, left_out: Counts) -> dict[str, int]:
         return seen_at(self.scene.scene, self.scene.sensor, left_out) if left_out.any() else {}
