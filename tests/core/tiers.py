@@ -20,7 +20,6 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
         "[before the first step]",
     ),
     "integrators/test_context.py": (
-        "test_no_tables_move_what_chains_find",  # bdpt's paths by the same tables, chains in test_pssmlt: 41 s
         "test_no_tables_move_the_image_of_unjoined_paths",  # in a sphere, by test_no_tables_move_what_unjoined: 26 s
         "[roughdielectric path spiked]",  # 25 s
         "[bdpt-random-options3]",  # 14 s

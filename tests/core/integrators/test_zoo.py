@@ -20,7 +20,10 @@ COVERED = {
 }
 """What other scenes of the suite cover as well: left to the validation run, because the suite has ten minutes."""
 CHOICE = {
-    "path": ["area-textured", "area-mesh", "projector", "mixed", "envmap", "sunsky", "hair", "mask"],
+    "path": [
+        *("area-textured", "area-mesh", "projector", "mixed", "envmap", "sunsky", "timed-sunsky", "hair", "mask"),
+        *("filter-mitchell", "filter-catmullrom", "filter-tent"),
+    ],
     "path pure": ["area-disk-cylinder", "envmap", "dielectric"],
     "light": ["area-textured", "area-two-sided-surface", "envmap", "principled", "twosided", "thinlens-wide"],
     "light pure": ["thinlens-wide"],
