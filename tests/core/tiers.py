@@ -44,7 +44,8 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
     "context/test_adjoint.py": ("moves_the_mean[random]", "moves_the_mean[empty]"),  # spiked: 36 s
     "context/test_surroundings.py": ("test_a_camera_beside_needs_fewer_steps_and_has_the_same_light",),  # 20 s
     "context/test_departures.py": ("test_light_paths_gain_by_it",),  # leaves for the door: 9 s
-    "context/test_tables.py": ("fills_tables[metropolis]", "walls_reflect[metropolis]"),  # two other kinds: 19 s
+    # Two other kinds, and both quantities of this one in a sphere by test_contract: 25 s.
+    "context/test_tables.py": ("fills_tables[metropolis]", "walls_reflect[metropolis]", "albedo_leaves[metropolis]"),
     "context/test_lookup.py": ("error_on_surfaces[maze-", "error_on_surfaces[door-"),  # 13 s
     "particles/test_contract.py": ("furnished_room_both_are_those_of_path_tracing[metropolis]",),  # sphere: 15 s
     "particles/test_worth.py": ("[metropolis]",),
@@ -76,13 +77,22 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
         "sum_to_one[pinhole-balance]",
     ),
     "integrators/test_agreement.py": (
-        "[area-mesh-random_table]",  # mixed, area-disk-cylinder, envmap: 8 s
+        "[area-mesh-random_table]",  # mixed, envmap: 8 s
+        "[area-disk-cylinder-random_table]",
         "[mixed-empty_table]",
+        "[roughdielectric-power]",  # Power is what nobody need ask for: this and the next are those of test_zoo.
+        "[thinlens-wide-power]",
         "[roughdielectric-balance]",
         "[roughdielectric-maximum]",
         "[balance-light]",
         "[power-light]",
         "[cutoff-path]",
+    ),
+    # Those of test_zoo by the same samples, or by more: 10 s.
+    "integrators/test_regressions.py": (
+        "[null]",
+        "[directional-through-null]",
+        "test_light_of_a_point_in_glass_is_found",
     ),
     "scene/test_emission.py": (
         "the_table_follows_radiance[sky of a moment]",  # other skies: 10 s
@@ -92,7 +102,7 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
     "selection/test_trials.py": ("renders[bdpt, enlightened, 4 eye paths]",),
     # The validation run has all of these at a higher power. Each class is met by another scene or algorithm.
     "integrators/test_zoo.py": (
-        "[timed-sunsky by bdpt]",  # 22 s
+        "[timed-sunsky by bdpt]",  # path: 22 s
         "[thinlens-wide by light pure]",  # 16 s
         "[envmap by pssmlt]",  # 13 s
         "[sunsky, spectral by bdpt]",  # 13 s
@@ -113,7 +123,9 @@ THOROUGH: Mapping[str, tuple[str, ...]] = {
         "[spot-textured by bdpt]",
         "[vertex-normals-glass by bdpt]",
         "[near-clip by bdpt]",
-        "[filter-mitchell by bdpt]",
+        "[area-textured by path]",  # light, bdpt
+        "[bumps-close by bdpt]",  # light, in test_regressions
+        "[filter-mitchell by bdpt]",  # path
     ),
 }
 """File below tests/core -> parts of the names of its tests."""

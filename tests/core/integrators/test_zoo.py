@@ -18,7 +18,7 @@ COVERED = {
     *("crop", "far-clip", "filter-tent", "vertex-normals", "roughconductor, spectral", "area-textured, spectral"),
     *("room-far-away", "room-tiny", "room-camera-far", "room-lamp-far", "filter-catmullrom"),
 }
-"""What other scenes of the suite cover as well: left to the validation run, because the suite has ten minutes."""
+"""What bdpt leaves to the validation run, because the suite has ten minutes: other tests of it cover that as well."""
 CHOICE = {
     "path": [
         *("area-textured", "area-mesh", "projector", "mixed", "envmap", "sunsky", "timed-sunsky", "hair", "mask"),
